@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
@@ -99,3 +100,19 @@ Albedo = Annotated[tuple[Reflectance, Reflectance, Reflectance], BeforeValidator
 Positive = Annotated[float, BeforeValidator(_to_float), Field(ge=0.0, allow_inf_nan=False)]
 Colour = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_to_colour)]
 """Linear Rec.709 radiance or gain, not negative; one number stands for grey."""
+
+
+INPUT_PATH = "input-path"
+"""Marks a field whose relative path counts from the job file; loaders look for it in the metadata."""
+
+
+def _to_path(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    if not value.strip():
+        raise ValueError("expected the path of a file")
+    return Path(value)
+
+
+InputPath = Annotated[Path, BeforeValidator(_to_path), INPUT_PATH]
+"""A file or file pattern that is read; relative paths count from the job file."""
