@@ -1,0 +1,193 @@
+"""Look-ups and samples of an equirectangular environment light.
+
+A direction `d` (unit, map frame) maps to u = 1/2 - atan2(d.y, d.x) / (2 pi), v = acos(d.z) / pi.
+Radiance is given at nodes and bilinear in (u, v) between them; columns wrap. Sampling cells are the
+rectangles between neighbouring nodes, so the density is positive wherever radiance is, and inside a
+cell directions are uniform in solid angle: probability over solid angle is the exact density.
+
+How the tables are made: `mrbatch.scene.environment`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import warp as wp
+
+_INV_PI = wp.constant(wp.float32(0.3183098861837907))
+_INV_TWO_PI = wp.constant(wp.float32(0.15915494309189535))
+_TWO_PI = wp.constant(wp.float64(6.283185307179586))
+_HALF = wp.constant(wp.float64(0.5))
+_ONE = wp.constant(wp.float64(1.0))
+_ZERO = wp.constant(wp.float64(0.0))
+
+
+@wp.struct
+class EnvironmentData:
+    """Tables of one map; R x W sampling cells.
+
+    `map_from_world`: a rotation. `nodes` (Rn, Wn): radiance, padded so that a look-up needs neither
+    wrap nor clamp. A point (u, v) has column coordinate u * column_scale + column_offset and row
+    coordinate v * row_scale + row_offset; their whole parts name the cell. `pdf` (R, W + 1): per
+    steradian, the last column a copy of the first. `row_z` (R + 1): cosine of the polar angle at the
+    cells' edges. `row_cdf` (R + 1), `column_cdf` (R * (W + 1), row after row): float64, from 0 to
+    exactly 1. `row_guide` (row_bins + 1), `column_guide` (R * (column_bins + 1)): for each of a power
+    of two of equal intervals of [0, 1], the cell that holds its start.
+    """
+
+    map_from_world: wp.mat33
+    row_scale: float
+    row_offset: float
+    column_scale: float
+    column_offset: float
+    rows: int
+    columns: int
+    row_bins: int
+    column_bins: int
+    nodes: wp.array2d(dtype=wp.vec3)
+    pdf: wp.array2d(dtype=wp.float32)
+    row_z: wp.array(dtype=wp.float64)
+    row_cdf: wp.array(dtype=wp.float64)
+    row_guide: wp.array(dtype=wp.int32)
+    column_cdf: wp.array(dtype=wp.float64)
+    column_guide: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class EnvironmentSample:
+    """A sampled direction: unit, world frame; radiance from there; density per steradian.
+
+    A black map gives density 0 and radiance 0: check before dividing.
+    """
+
+    direction: wp.vec3
+    radiance: wp.vec3
+    pdf: float
+
+
+@wp.func
+def direction_to_uv(d: wp.vec3) -> wp.vec2:
+    """Map-frame direction (any length but 0) to (u, v) in [0, 1]^2; accurate at the poles too."""
+    return wp.vec2(
+        0.5 - wp.atan2(d[1], d[0]) * _INV_TWO_PI,
+        wp.atan2(wp.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) * _INV_PI,
+    )
+
+
+@wp.func
+def environment_coordinates(env: EnvironmentData, d: wp.vec3) -> wp.vec2:
+    """Column and row coordinate of a world direction in the table of cells."""
+    uv = direction_to_uv(env.map_from_world @ d)
+    return wp.vec2(uv[0] * env.column_scale + env.column_offset, uv[1] * env.row_scale + env.row_offset)
+
+
+@wp.func
+def _bilinear(env: EnvironmentData, row: int, column: int, fx: float, fy: float) -> wp.vec3:
+    top = env.nodes[row, column] * (1.0 - fx) + env.nodes[row, column + 1] * fx
+    bottom = env.nodes[row + 1, column] * (1.0 - fx) + env.nodes[row + 1, column + 1] * fx
+    return top * (1.0 - fy) + bottom * fy
+
+
+@wp.func
+def _nearest(env: EnvironmentData, row: int, column: int, fx: float, fy: float) -> wp.vec3:
+    return env.nodes[row, column]
+
+
+@wp.func
+def find_interval(
+    cdf: wp.array(dtype=wp.float64),
+    first: int,
+    guide: wp.array(dtype=wp.int32),
+    guide_first: int,
+    bins: int,
+    u: wp.float64,
+) -> int:
+    """The i with cdf[first + i] <= u < cdf[first + i + 1], for u in [0, 1): never an empty interval."""
+    # `bins` is a power of two, so the product is exact and the guide brackets the answer.
+    k = wp.min(int(u * wp.float64(bins)), bins - 1)
+    low = guide[guide_first + k]
+    high = guide[guide_first + k + 1]
+    while low < high:
+        middle = (low + high + 1) >> 1
+        if cdf[first + middle] <= u:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@wp.func
+def env_pdf(env: EnvironmentData, d: wp.vec3) -> float:
+    """Density per steradian with which `env_sample` draws the unit world direction `d`."""
+    st = environment_coordinates(env, d)
+    return env.pdf[wp.clamp(int(st[1]), 0, env.rows - 1), wp.clamp(int(st[0]), 0, env.columns)]
+
+
+@dataclass(frozen=True)
+class EnvironmentFunctions:
+    """`radiance(env, d) -> vec3`, `pdf(env, d) -> float`, `sample(env, u: vec2d) -> EnvironmentSample`."""
+
+    interpolation: str
+    radiance: Any
+    pdf: Any
+    sample: Any
+
+
+def _make(interpolate: Any) -> tuple[Any, Any]:
+    @wp.func
+    def env_radiance(env: EnvironmentData, d: wp.vec3) -> wp.vec3:
+        """Radiance that arrives from the unit world direction `d`."""
+        st = environment_coordinates(env, d)
+        column = wp.clamp(int(st[0]), 0, env.columns)
+        row = wp.clamp(int(st[1]), 0, env.rows - 1)
+        # Rounding may carry v past 1 by a unit in the last place: no extrapolation there.
+        fy = wp.clamp(st[1] - float(row), 0.0, 1.0)
+        return interpolate(env, row, column, st[0] - float(column), fy)
+
+    @wp.func
+    def env_sample(env: EnvironmentData, u: wp.vec2d) -> EnvironmentSample:
+        """A direction drawn in proportion to the map's cells; `u` in [0, 1)^2, all its bits are used."""
+        row = find_interval(env.row_cdf, 0, env.row_guide, 0, env.row_bins, u[0])
+        below = env.row_cdf[row]
+        rest = (u[0] - below) / (env.row_cdf[row + 1] - below)
+        first = row * (env.columns + 1)
+        guide = row * (env.column_bins + 1)
+        column = find_interval(env.column_cdf, first, env.column_guide, guide, env.column_bins, u[1])
+        left = env.column_cdf[first + column]
+        fx = (u[1] - left) / (env.column_cdf[first + column + 1] - left)
+
+        top = env.row_z[row]
+        z = top + rest * (env.row_z[row + 1] - top)
+        # (1 - z)(1 + z) keeps the sine's digits near the poles.
+        sine = wp.sqrt(wp.max((_ONE - z) * (_ONE + z), _ZERO))
+        across = (wp.float64(column) + fx - wp.float64(env.column_offset)) / wp.float64(env.column_scale)
+        phi = float(_TWO_PI * (_HALF - across))
+        fz = float(z)
+        fsine = float(sine)
+        fy = wp.atan2(fsine, fz) * _INV_PI * env.row_scale + env.row_offset - float(row)
+
+        result = EnvironmentSample()
+        result.direction = wp.transpose(env.map_from_world) @ wp.vec3(
+            fsine * wp.cos(phi), fsine * wp.sin(phi), fz
+        )
+        result.radiance = interpolate(env, row, column, float(fx), wp.clamp(fy, 0.0, 1.0))
+        result.pdf = env.pdf[row, column]
+        return result
+
+    return env_radiance, env_sample
+
+
+env_radiance, env_sample = _make(_bilinear)
+_nearest_radiance, _nearest_sample = _make(_nearest)
+
+
+def make_environment(
+    interpolation: Literal["bilinear", "nearest"] = "bilinear",
+) -> EnvironmentFunctions:
+    """The functions for a map whose tables were made with this interpolation."""
+    if interpolation == "bilinear":
+        return EnvironmentFunctions(interpolation, env_radiance, env_pdf, env_sample)
+    if interpolation == "nearest":
+        return EnvironmentFunctions(interpolation, _nearest_radiance, env_pdf, _nearest_sample)
+    raise ValueError(f"unknown interpolation `{interpolation}`: expected bilinear or nearest")

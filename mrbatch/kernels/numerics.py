@@ -1,0 +1,137 @@
+"""Small numerics that every method shares: ray starts, tangent frames, weights of sampling techniques.
+
+All functions are `wp.func`s in float32 unless they say otherwise. Nothing here holds a bare
+tolerance: distances are relative to the float's spacing at the place where they are used.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+OFFSET = wp.constant(wp.float32(2.0**-20))
+"""Relative length of the step off a surface: 8 to 16 units in the last place of the larger of |p|, t."""
+
+_ONE = wp.constant(wp.float64(1.0))
+_ZERO = wp.constant(wp.float64(0.0))
+
+
+@wp.func
+def max_component(a: wp.vec3) -> float:
+    """Largest of the three components."""
+    return wp.max(wp.max(a[0], a[1]), a[2])
+
+
+@wp.func
+def luminance(a: wp.vec3) -> float:
+    """Relative luminance of linear Rec.709 (ITU-R BT.709-6, item 3.2)."""
+    return 0.2126 * a[0] + 0.7152 * a[1] + 0.0722 * a[2]
+
+
+@wp.func
+def offset_origin(p: wp.vec3, ng: wp.vec3, d: wp.vec3, t: float) -> wp.vec3:
+    """Start of a ray that leaves the surface point `p` in direction `d`.
+
+    `ng`: unit geometric normal (either side), `t`: distance that the ray which found `p` has
+    travelled. A point o + t d is wrong by some units in the last place of its largest term, so the
+    start moves along the geometric normal, to the side of `d`, by 2^-20 of the larger of |p|
+    (largest component) and t. Waechter and Binder (Ray Tracing Gems, chapter 6) step each component
+    by its own spacing and need a constant near zero; this form has none, so a scene scaled by a
+    power of two gives exactly scaled starts.
+    """
+    reach = wp.max(max_component(wp.vec3(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2]))), wp.abs(t))
+    step = OFFSET * reach
+    if wp.dot(ng, d) < 0.0:
+        step = -step
+    return p + step * ng
+
+
+@wp.func
+def orthonormal_basis(n: wp.vec3) -> wp.mat33:
+    """Right-handed frame round the unit vector `n`: columns t, b, n.
+
+    Duff et al., Building an Orthonormal Basis, Revisited (JCGT 6(1), 2017), listing 3.
+    """
+    sign = 1.0
+    if n[2] < 0.0:
+        sign = -1.0
+    a = -1.0 / (sign + n[2])
+    b = n[0] * n[1] * a
+    return wp.mat33(
+        1.0 + sign * n[0] * n[0] * a,
+        b,
+        n[0],
+        sign * b,
+        sign + n[1] * n[1] * a,
+        n[1],
+        -sign * n[0],
+        -n[1],
+        n[2],
+    )
+
+
+@wp.func
+def to_world(basis: wp.mat33, local: wp.vec3) -> wp.vec3:
+    """From the frame of `orthonormal_basis` (z along n) to where n is given."""
+    return basis @ local
+
+
+@wp.func
+def to_local(basis: wp.mat33, world: wp.vec3) -> wp.vec3:
+    """Into the frame of `orthonormal_basis` (z along n)."""
+    return wp.transpose(basis) @ world
+
+
+@wp.func
+def _share(a: wp.float64, b: wp.float64) -> float:
+    # a / (a + b) for a, b >= 0 without forming a sum: no overflow, and inf against finite is 1.
+    if a <= _ZERO:
+        return 0.0
+    if a == b:
+        # Also inf against inf: two deltas at one place share evenly.
+        return 0.5
+    if a > b:
+        return float(_ONE / (_ONE + b / a))
+    r = a / b
+    return float(r / (_ONE + r))
+
+
+@wp.func
+def balance_heuristic(pa: float, pb: float) -> float:
+    """Weight of the technique with density `pa` against the one with `pb`: pa / (pa + pb).
+
+    0 where both are 0; 1 where only `pa` is infinite. Veach 1997, equation 9.8.
+    """
+    return _share(wp.float64(pa), wp.float64(pb))
+
+
+@wp.func
+def balance_heuristic_counts(na: float, pa: float, nb: float, pb: float) -> float:
+    """The balance heuristic for `na` samples of density `pa` and `nb` of `pb` (Veach 1997, eq. 9.8).
+
+    The products are taken in float64, so counts times densities near the float's end stay finite.
+    A technique that draws nothing weighs nothing, whatever its density.
+    """
+    a = _ZERO
+    b = _ZERO
+    if na > 0.0:
+        a = wp.float64(na) * wp.float64(pa)
+    if nb > 0.0:
+        b = wp.float64(nb) * wp.float64(pb)
+    return _share(a, b)
+
+
+@wp.func
+def power_heuristic(pa: float, pb: float) -> float:
+    """Weight pa^2 / (pa^2 + pb^2) (Veach 1997, equation 9.13, beta = 2), 0 where both are 0.
+
+    Formed from the ratio, because p^2 leaves float32 above 1.8e19.
+    """
+    if pa <= 0.0:
+        return 0.0
+    if pa == pb:
+        return 0.5
+    if pa > pb:
+        r = wp.float64(pb) / wp.float64(pa)
+        return float(_ONE / (_ONE + r * r))
+    q = wp.float64(pa) / wp.float64(pb)
+    return float(q * q / (_ONE + q * q))

@@ -1,0 +1,215 @@
+"""Random numbers: pure functions of (seed, frame, view, half, element, sample, dimension).
+
+A *key* stands for everything but sample index and dimension. No state is carried, so a number
+depends neither on tiles and threads nor on which other numbers are drawn.
+
+Two samplers share one interface. `owen`: Sobol's first two dimensions, Owen-scrambled by hashing
+and padded (Burley, Practical Hash-based Owen Scrambling, JCGT 9(4), 2020): each dimension number is
+a fresh pair, with its own scramble and its own nested permutation of the sample index, so that
+pairs are independent of each other while each pair keeps its net. `independent`: a counter-based
+hash.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import warp as wp
+
+_GOLDEN = wp.constant(wp.uint64(0x9E3779B97F4A7C15))
+_STRIDE = wp.constant(wp.uint64(0xD1342543DE82EF95))
+_MIX_A = wp.constant(wp.uint64(0xBF58476D1CE4E5B9))
+_MIX_B = wp.constant(wp.uint64(0x94D049BB133111EB))
+_S27 = wp.constant(wp.uint64(27))
+_S30 = wp.constant(wp.uint64(30))
+_S31 = wp.constant(wp.uint64(31))
+_S32 = wp.constant(wp.uint64(32))
+_LOW = wp.constant(wp.uint64(0xFFFFFFFF))
+_ONE64 = wp.constant(wp.uint64(1))
+
+_TO_FLOAT = wp.constant(wp.float32(2.0**-24))
+_TO_DOUBLE = wp.constant(wp.float64(2.0**-32))
+_HALF = wp.constant(wp.float64(0.5))
+
+
+@wp.func
+def mix64(x: wp.uint64) -> wp.uint64:
+    """A bijection of 64 bits in which every bit of the input moves every bit of the output.
+
+    Stafford's variant 13 of MurmurHash3's finaliser, as in SplitMix64 (Steele et al., OOPSLA 2014).
+    """
+    z = (x ^ (x >> _S30)) * _MIX_A
+    z = (z ^ (z >> _S27)) * _MIX_B
+    return z ^ (z >> _S31)
+
+
+@wp.func
+def element_key(seed: wp.uint32, frame: int, view: int, half: int, element: wp.int64) -> wp.uint64:
+    """Key of an element that is no pixel (voxel, point, texel): its absolute id in `element`.
+
+    Each half of the film has a key, and with it a scramble, of its own.
+    """
+    h = mix64(((wp.uint64(seed) << _S32) | (wp.uint64(wp.uint32(frame)))) + _GOLDEN)
+    h = mix64(h + ((wp.uint64(wp.uint32(view)) << _S32) | wp.uint64(wp.uint32(half))) + _GOLDEN)
+    return mix64(h + wp.uint64(element) + _GOLDEN)
+
+
+@wp.func
+def pixel_key(seed: wp.uint32, frame: int, view: int, half: int, x: int, y: int) -> wp.uint64:
+    """Key of the absolute pixel (x, y); both may be negative (overscan)."""
+    packed = (wp.uint64(wp.uint32(y)) << _S32) | wp.uint64(wp.uint32(x))
+    return element_key(seed, frame, view, half, wp.int64(packed))
+
+
+@wp.func
+def _reverse_bits(v: wp.uint32) -> wp.uint32:
+    x = ((v >> wp.uint32(1)) & wp.uint32(0x55555555)) | ((v & wp.uint32(0x55555555)) << wp.uint32(1))
+    x = ((x >> wp.uint32(2)) & wp.uint32(0x33333333)) | ((x & wp.uint32(0x33333333)) << wp.uint32(2))
+    x = ((x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F)) | ((x & wp.uint32(0x0F0F0F0F)) << wp.uint32(4))
+    x = ((x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)) | ((x & wp.uint32(0x00FF00FF)) << wp.uint32(8))
+    return (x >> wp.uint32(16)) | (x << wp.uint32(16))
+
+
+@wp.func
+def _scramble_reversed(v: wp.uint32, seed: wp.uint32) -> wp.uint32:
+    # Laine and Karras' hash with Vegdahl's constants (psychopath.io, 2021): a bit of the result
+    # depends on itself and lower bits only, which on reversed words is Owen's nested scramble.
+    x = v
+    x = x ^ (x * wp.uint32(0x3D20ADEA))
+    x = x + seed
+    x = x * ((seed >> wp.uint32(16)) | wp.uint32(1))
+    x = x ^ (x * wp.uint32(0x05526C56))
+    return x ^ (x * wp.uint32(0x53A22864))
+
+
+@wp.func
+def _second_sobol_reversed(index: wp.uint32) -> wp.uint32:
+    # Sobol's second generator matrix is Pascal's triangle mod 2; its product with the index in five
+    # steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence, EGSR 2024), bits reversed.
+    x = index
+    x = x ^ ((x >> wp.uint32(1)) & wp.uint32(0x55555555))
+    x = x ^ ((x >> wp.uint32(2)) & wp.uint32(0x33333333))
+    x = x ^ ((x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F))
+    x = x ^ ((x >> wp.uint32(8)) & wp.uint32(0x00FF00FF))
+    return x ^ (x >> wp.uint32(16))
+
+
+@wp.func
+def _dimension_hash(key: wp.uint64, dimension: int) -> wp.uint64:
+    return mix64(key + (wp.uint64(wp.uint32(dimension)) + _ONE64) * _STRIDE)
+
+
+@wp.func
+def _low(h: wp.uint64) -> wp.uint32:
+    return wp.uint32(h & _LOW)
+
+
+@wp.func
+def _high(h: wp.uint64) -> wp.uint32:
+    return wp.uint32(h >> _S32)
+
+
+@wp.func
+def uint_to_float(x: wp.uint32) -> float:
+    """The upper 24 bits as a float in [0, 1 - 2^-24]: x * 2^-32 would round to 1."""
+    return wp.float32(x >> wp.uint32(8)) * _TO_FLOAT
+
+
+@wp.func
+def uint_to_double(x: wp.uint32) -> wp.float64:
+    """All 32 bits as the middle of their interval, in (0, 1)."""
+    return (wp.float64(x) + _HALF) * _TO_DOUBLE
+
+
+@wp.func
+def _owen_index(index: int, h: wp.uint64) -> wp.uint32:
+    return _reverse_bits(_scramble_reversed(_reverse_bits(wp.uint32(index)), _low(h)))
+
+
+@wp.func
+def _owen_x(permuted: wp.uint32, h: wp.uint64) -> wp.uint32:
+    return _reverse_bits(_scramble_reversed(permuted, _high(h)))
+
+
+@wp.func
+def _owen_y(permuted: wp.uint32, h: wp.uint64) -> wp.uint32:
+    seed = _high(mix64(h + _GOLDEN))
+    return _reverse_bits(_scramble_reversed(_second_sobol_reversed(permuted), seed))
+
+
+@wp.func
+def owen_1d(key: wp.uint64, index: int, dimension: int) -> float:
+    """Owen-scrambled van der Corput sequence in [0, 1)."""
+    h = _dimension_hash(key, dimension)
+    return uint_to_float(_owen_x(_owen_index(index, h), h))
+
+
+@wp.func
+def owen_2d(key: wp.uint64, index: int, dimension: int) -> wp.vec2:
+    """Owen-scrambled Sobol pair in [0, 1)^2; the first 2^k indices form a (0, k, 2)-net in base 2."""
+    h = _dimension_hash(key, dimension)
+    permuted = _owen_index(index, h)
+    return wp.vec2(uint_to_float(_owen_x(permuted, h)), uint_to_float(_owen_y(permuted, h)))
+
+
+@wp.func
+def owen_2d_precise(key: wp.uint64, index: int, dimension: int) -> wp.vec2d:
+    """The same pair with all its 32 bits, in (0, 1)^2."""
+    h = _dimension_hash(key, dimension)
+    permuted = _owen_index(index, h)
+    return wp.vec2d(uint_to_double(_owen_x(permuted, h)), uint_to_double(_owen_y(permuted, h)))
+
+
+@wp.func
+def _independent_bits(key: wp.uint64, index: int, dimension: int) -> wp.uint64:
+    h = _dimension_hash(key, dimension)
+    return mix64(h + (wp.uint64(wp.uint32(index)) + _ONE64) * _GOLDEN)
+
+
+@wp.func
+def independent_1d(key: wp.uint64, index: int, dimension: int) -> float:
+    """A random number in [0, 1)."""
+    return uint_to_float(_high(_independent_bits(key, index, dimension)))
+
+
+@wp.func
+def independent_2d(key: wp.uint64, index: int, dimension: int) -> wp.vec2:
+    """A random pair in [0, 1)^2."""
+    bits = _independent_bits(key, index, dimension)
+    return wp.vec2(uint_to_float(_high(bits)), uint_to_float(_low(bits)))
+
+
+@wp.func
+def independent_2d_precise(key: wp.uint64, index: int, dimension: int) -> wp.vec2d:
+    """The same pair with all its 32 bits, in (0, 1)^2."""
+    bits = _independent_bits(key, index, dimension)
+    return wp.vec2d(uint_to_double(_high(bits)), uint_to_double(_low(bits)))
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """Three `wp.func`s of (key: uint64, index: int, dimension: int).
+
+    `sample_1d` gives a float, `sample_2d` a vec2, both in [0, 1 - 2^-24]; `sample_2d_precise` a
+    vec2d in (0, 1). Any `dimension` number may be used (0 to 2^32 - 1 as unsigned); calls with the
+    same one are the same numbers, a 1-D call being the first of the pair.
+    """
+
+    kind: str
+    sample_1d: Any
+    sample_2d: Any
+    sample_2d_precise: Any
+
+
+_SAMPLERS = {
+    "owen": Sampler("owen", owen_1d, owen_2d, owen_2d_precise),
+    "independent": Sampler("independent", independent_1d, independent_2d, independent_2d_precise),
+}
+
+
+def make_sampler(kind: Literal["owen", "independent"] = "owen") -> Sampler:
+    """The sampler of this name. Raises ValueError for another name."""
+    if kind not in _SAMPLERS:
+        raise ValueError(f"unknown sampler `{kind}`: expected one of {', '.join(_SAMPLERS)}")
+    return _SAMPLERS[kind]
