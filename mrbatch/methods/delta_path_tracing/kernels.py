@@ -1,0 +1,416 @@
+"""The kernel of delta path tracing.
+
+After Xu et al., *Delta Path Tracing for Real-Time Global Illumination in Mixed Reality*, corrected.
+The paper's Algorithm 1 subtracts, at the first real hit, all light that any surface blocks, adds
+what later bounces gather, and is right for one empty plane only. Here the light change of a real
+point is taken for what it is,
+
+    Delta(x) = integral f cos (L_m - L_r),
+
+with L_m the radiance with, L_r without virtual objects, and the nearest hit in real and virtual
+geometry is compared with the nearest hit in real geometry:
+
+- sky in both: nothing changes, the path ends and nothing is gathered;
+- the same real point y: the change goes on there, Delta(y);
+- a virtual point y_V in front: the path forks; + L_m(y_V), traced among all objects, and - L_r of
+  what lay behind (a real point, traced among real objects alone, or the sky), both legs with common
+  random numbers.
+
+Light from the sky that virtual objects block on the way, -f cos L_s V_R (1 - V_V), comes by sampling
+the environment and by the same scattered ray, with the balance heuristic. Every leg is cut by
+roulette, or at equal path length on both sides, so a cap does not darken.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from mrbatch.device.rays import FAR, Engine, RaySet, rays
+from mrbatch.film.accumulator import FilmData, film_pixel
+from mrbatch.kernels.bsdf import make_bsdf
+from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.environment import make_environment
+from mrbatch.kernels.numerics import (
+    balance_heuristic,
+    max_component,
+    offset_origin,
+    orthonormal_basis,
+    to_local,
+    to_world,
+)
+from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.sampling import make_pixel_filter
+from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, SurfacePoint, surface_point
+from mrbatch.scene.shading import PhotoReflectance, ShadingFlags, make_surface
+
+DIM_PIXEL = wp.constant(wp.int32(0))
+DIM_VERTEX = wp.constant(wp.int32(8))
+DIM_LIGHT = wp.constant(wp.int32(0))
+DIM_SCATTER = wp.constant(wp.int32(1))
+DIM_ROULETTE = wp.constant(wp.int32(2))
+ROULETTE_MOST = wp.constant(wp.float32(0.95))
+"""A path survives roulette at most this often, so that it ends even among white walls."""
+ROULETTE_LEAST = wp.constant(wp.float32(0.05))
+
+CAMERA_RAYS, SHADOW_RAYS, SCATTER_RAYS, LOOKUPS, VERTICES = 0, 1, 2, 3, 4
+
+
+@dataclass(frozen=True)
+class Flags:
+    """What a shot calls for; each that is off leaves no code in the kernel."""
+
+    engine: Engine = "embree"
+    bsdf_kinds: frozenset[str] = frozenset({"diffuse"})
+    masking: str = "height-correlated"
+    camera_model: str = "perspective"
+    distortion: bool = False
+    interpolation: str = "bilinear"
+    sampler: str = "owen"
+    pixel_filter: str = "box"
+    strategy: str = "mis"
+    shading: ShadingFlags = ShadingFlags()
+    real_on_real: bool = True
+    """A real point can see another real point."""
+    virtual_paths: bool = True
+    """Light goes on after the first scattering: bleeding, inter-reflection, reflections of surfaces."""
+    unreceptive: bool = False
+    """Some object takes no light change from virtual objects."""
+    holdout: bool = False
+    split: bool = False
+    """The film keeps blocked and indirect light of D apart."""
+
+
+@wp.struct
+class Settings:
+    """Numbers of the estimator. `max_edges`: longest path in edges, the camera's included."""
+
+    max_edges: wp.int32
+    roulette_from: wp.int32
+
+
+@wp.struct
+class Leg:
+    """What a path gathered, and the work it took."""
+
+    radiance: wp.vec3
+    shadow_rays: wp.int32
+    scatter_rays: wp.int32
+    lookups: wp.int32
+    vertices: wp.int32
+
+
+@dataclass(frozen=True)
+class DeltaKernel:
+    kernel: Any
+    flags: Flags
+
+
+@functools.cache
+def make_kernel(flags: Flags) -> DeltaKernel:
+    """The kernel for these flags: adds samples of one half to the film, one thread a pixel."""
+    trace, occluded = rays(flags.engine).trace, rays(flags.engine).occluded
+    bsdf = make_bsdf(flags.bsdf_kinds, masking=flags.masking)  # type: ignore[arg-type]
+    bsdf_evaluate, bsdf_pdf, bsdf_sample = bsdf.evaluate, bsdf.pdf, bsdf.sample
+    camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
+    camera_ray = camera.ray
+    environment = make_environment(flags.interpolation)  # type: ignore[arg-type]
+    env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
+    sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
+    sample_1d, sample_2d, sample_2d_precise = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_precise
+    pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
+    surface_at = make_surface(flags.shading, camera)
+    sample_light = flags.strategy in ("mis", "environment")
+    weigh = flags.strategy == "mis"
+
+    @wp.func
+    def light_weight(light_pdf: float, scatter_pdf: float) -> float:
+        # Weight of a direction drawn from the environment.
+        if wp.static(weigh):
+            return balance_heuristic(light_pdf, scatter_pdf)
+        return 1.0
+
+    @wp.func
+    def scatter_weight(scatter_pdf: float, light_pdf: float) -> float:
+        if wp.static(weigh):
+            return balance_heuristic(scatter_pdf, light_pdf)
+        return wp.where(wp.static(sample_light), 0.0, 1.0)
+
+    @wp.func
+    def survival(throughput: wp.vec3, edges: int, settings: Settings) -> float:
+        if edges < settings.roulette_from:
+            return 1.0
+        return wp.clamp(max_component(throughput), ROULETTE_LEAST, ROULETTE_MOST)
+
+    @wp.func
+    def path(
+        scene: SceneData,
+        photo: PhotoReflectance,
+        settings: Settings,
+        among: RaySet,
+        start: SurfacePoint,
+        direction: wp.vec3,
+        edges_so_far: int,
+        key: wp.uint64,
+        index: int,
+    ) -> Leg:
+        """Radiance that leaves `start` against `direction`, traced among the objects of one ray set.
+
+        `edges_so_far`: edges of the path from the camera to `start`.
+        """
+        leg = Leg()
+        throughput = wp.vec3(1.0, 1.0, 1.0)
+        point = start
+        d = direction
+        edges = int(edges_so_far)
+        scene_set = among
+        while edges < settings.max_edges:
+            leg.vertices += 1
+            dimension = DIM_VERTEX * edges
+            if wp.static(flags.unreceptive):
+                scene_set = among
+                if (scene.objects[point.object].flags & RECEIVE) == 0:
+                    scene_set = scene.real_set
+            surface = surface_at(scene, photo, point)
+            basis = orthonormal_basis(point.ns)
+            wo = to_local(basis, -d)
+            if wp.static(sample_light):
+                light = env_sample(scene.environment, sample_2d_precise(key, index, dimension + DIM_LIGHT))
+                if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                    wi = to_local(basis, light.direction)
+                    value = bsdf_evaluate(surface, wo, wi)
+                    if max_component(value) > 0.0:
+                        leg.shadow_rays += 1
+                        o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                        if not occluded(scene_set, o, light.direction, FAR):
+                            leg.lookups += 1
+                            w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
+                            leg.radiance += wp.cw_mul(wp.cw_mul(throughput, value), light.radiance) * w
+            drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
+            if max_component(drawn.weight) <= 0.0:
+                break
+            d = to_world(basis, drawn.wi)
+            if wp.dot(point.ng, d) <= 0.0:
+                break
+            throughput = wp.cw_mul(throughput, drawn.weight)
+            leg.scatter_rays += 1
+            o = offset_origin(point.p, point.ng, d, point.reach)
+            hit = trace(scene_set, o, d, FAR)
+            if hit.triangle < 0:
+                w = scatter_weight(drawn.pdf, env_pdf(scene.environment, d))
+                if w > 0.0:
+                    leg.lookups += 1
+                    leg.radiance += wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
+                break
+            edges += 1
+            q = survival(throughput, edges, settings)
+            if q < 1.0:
+                if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
+                    break
+                throughput = throughput / q
+            point = surface_point(scene, hit.triangle, hit.u, hit.v, d)
+        return leg
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def delta_path_tracing(
+        scene: SceneData,
+        frame: FrameParams,
+        settings: Settings,
+        film: FilmData,
+        units: wp.array(dtype=wp.int32),
+        first_unit: int,
+        half: int,
+        first_sample: int,
+        samples: int,
+        counters: wp.array(dtype=wp.int64),
+    ):
+        thread = wp.tid()
+        pixel = film_pixel(film, units[first_unit + (thread >> 8)], thread & 255)
+        if pixel.index < 0:
+            return
+        background = film.background[pixel.index]
+        key = pixel_key(frame.seed, frame.frame, frame.view, half, pixel.x, pixel.y)
+        p0 = film.sums[half, pixel.index, 0]
+        p1 = film.sums[half, pixel.index, 1]
+        p2 = film.sums[half, pixel.index, 2]
+        coverage = film.sums[half, pixel.index, 3]
+        d0 = film.sums[half, pixel.index, 4]
+        d1 = film.sums[half, pixel.index, 5]
+        d2 = film.sums[half, pixel.index, 6]
+        s0 = film.squares[half, pixel.index, 0]
+        s1 = film.squares[half, pixel.index, 1]
+        s2 = film.squares[half, pixel.index, 2]
+        shadow_rays = int(0)
+        scatter_rays = int(0)
+        lookups = int(0)
+        vertices = int(0)
+        for n in range(samples):
+            index = first_sample + n
+            shift = pixel_filter(sample_2d(key, index, DIM_PIXEL))
+            primary = camera_ray(
+                frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
+            )
+            value = wp.vec3(0.0, 0.0, 0.0)
+            blocked = wp.vec3(0.0, 0.0, 0.0)
+            indirect = wp.vec3(0.0, 0.0, 0.0)
+            covered = float(0.0)
+            hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
+            if primary.ok and hit.triangle >= 0:
+                point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
+                flags_here = scene.objects[point.object].flags
+                is_virtual = (flags_here & VIRTUAL) != 0
+                skip = bool(False)
+                if wp.static(flags.holdout):
+                    skip = (flags_here & HOLDOUT) != 0
+                if wp.static(flags.unreceptive):
+                    skip = skip or ((not is_virtual) and (flags_here & RECEIVE) == 0)
+                legs = int(0)
+                # The two legs of the fork: `plus` among all objects, `minus` among real ones.
+                plus = point
+                plus_direction = primary.direction
+                minus = point
+                fork_throughput = wp.vec3(1.0, 1.0, 1.0)
+                edges = int(1)
+                if is_virtual and not skip:
+                    covered = 1.0
+                    legs = 1
+                if not is_virtual and not skip:
+                    d = primary.direction
+                    throughput = wp.vec3(1.0, 1.0, 1.0)
+                    while edges < settings.max_edges:
+                        vertices += 1
+                        dimension = DIM_VERTEX * edges
+                        surface = surface_at(scene, frame.photo, point)
+                        basis = orthonormal_basis(point.ns)
+                        wo = to_local(basis, -d)
+                        if wp.static(sample_light):
+                            light = env_sample(
+                                scene.environment, sample_2d_precise(key, index, dimension + DIM_LIGHT)
+                            )
+                            if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                                wi = to_local(basis, light.direction)
+                                f = bsdf_evaluate(surface, wo, wi)
+                                if max_component(f) > 0.0:
+                                    shadow_rays += 1
+                                    o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                                    lost = occluded(scene.virtual_set, o, light.direction, FAR)
+                                    if wp.static(flags.real_on_real):
+                                        if lost:
+                                            shadow_rays += 1
+                                            lost = not occluded(scene.real_set, o, light.direction, FAR)
+                                    if lost:
+                                        lookups += 1
+                                        w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
+                                        blocked -= wp.cw_mul(wp.cw_mul(throughput, f), light.radiance) * w
+                        drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
+                        if max_component(drawn.weight) <= 0.0:
+                            break
+                        d = to_world(basis, drawn.wi)
+                        if wp.dot(point.ng, d) <= 0.0:
+                            break
+                        throughput = wp.cw_mul(throughput, drawn.weight)
+                        o = offset_origin(point.p, point.ng, d, point.reach)
+                        scatter_rays += 1
+                        seen = trace(scene.virtual_set, o, d, FAR)
+                        behind_t = FAR
+                        behind_triangle = wp.int32(-1)
+                        behind_u = float(0.0)
+                        behind_v = float(0.0)
+                        if wp.static(flags.real_on_real):
+                            scatter_rays += 1
+                            behind = trace(scene.real_set, o, d, FAR)
+                            behind_t = behind.t
+                            behind_triangle = behind.triangle
+                            behind_u = behind.u
+                            behind_v = behind.v
+                        if seen.triangle >= 0 and seen.t < behind_t:
+                            edges += 1
+                            fork_throughput = throughput
+                            if behind_triangle < 0:
+                                w = scatter_weight(drawn.pdf, env_pdf(scene.environment, d))
+                                if w > 0.0:
+                                    lookups += 1
+                                    lost_light = env_radiance(scene.environment, d)
+                                    blocked -= wp.cw_mul(throughput, lost_light) * w
+                            if wp.static(flags.virtual_paths):
+                                plus = surface_point(scene, seen.triangle, seen.u, seen.v, d)
+                                plus_direction = d
+                                legs = 1
+                            if wp.static(flags.real_on_real):
+                                if behind_triangle >= 0:
+                                    minus = surface_point(scene, behind_triangle, behind_u, behind_v, d)
+                                    plus_direction = d
+                                    legs = 2
+                            break
+                        if behind_triangle < 0:
+                            break
+                        if wp.static(flags.real_on_real):
+                            point = surface_point(scene, behind_triangle, behind_u, behind_v, d)
+                            if wp.static(flags.unreceptive):
+                                if (scene.objects[point.object].flags & RECEIVE) == 0:
+                                    break
+                            edges += 1
+                            q = survival(throughput, edges, settings)
+                            if q < 1.0:
+                                if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
+                                    break
+                                throughput = throughput / q
+                for side in range(legs):
+                    among = scene.all_set
+                    start = plus
+                    if side == 1:
+                        among = scene.real_set
+                        start = minus
+                    leg = path(scene, frame.photo, settings, among, start, plus_direction, edges, key, index)
+                    shadow_rays += leg.shadow_rays
+                    scatter_rays += leg.scatter_rays
+                    lookups += leg.lookups
+                    vertices += leg.vertices
+                    gathered = wp.cw_mul(fork_throughput, leg.radiance)
+                    if covered > 0.0:
+                        value = gathered
+                    elif side == 0:
+                        indirect += gathered
+                    else:
+                        indirect -= gathered
+            value = wp.cw_mul(value, frame.gain)
+            blocked = wp.cw_mul(blocked, frame.gain)
+            indirect = wp.cw_mul(indirect, frame.gain)
+            delta = blocked + indirect
+            p0 += wp.float64(value[0])
+            p1 += wp.float64(value[1])
+            p2 += wp.float64(value[2])
+            coverage += wp.float64(covered)
+            d0 += wp.float64(delta[0])
+            d1 += wp.float64(delta[1])
+            d2 += wp.float64(delta[2])
+            change = value - background * covered + delta
+            s0 += wp.float64(change[0]) * wp.float64(change[0])
+            s1 += wp.float64(change[1]) * wp.float64(change[1])
+            s2 += wp.float64(change[2]) * wp.float64(change[2])
+            if wp.static(flags.split):
+                for c in range(3):
+                    film.sums[half, pixel.index, 7 + c] += wp.float64(blocked[c])
+                    film.sums[half, pixel.index, 10 + c] += wp.float64(indirect[c])
+        film.sums[half, pixel.index, 0] = p0
+        film.sums[half, pixel.index, 1] = p1
+        film.sums[half, pixel.index, 2] = p2
+        film.sums[half, pixel.index, 3] = coverage
+        film.sums[half, pixel.index, 4] = d0
+        film.sums[half, pixel.index, 5] = d1
+        film.sums[half, pixel.index, 6] = d2
+        film.squares[half, pixel.index, 0] = s0
+        film.squares[half, pixel.index, 1] = s1
+        film.squares[half, pixel.index, 2] = s2
+        film.counts[half, pixel.index] = film.counts[half, pixel.index] + samples
+        wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples))
+        wp.atomic_add(counters, SHADOW_RAYS, wp.int64(shadow_rays))
+        wp.atomic_add(counters, SCATTER_RAYS, wp.int64(scatter_rays))
+        wp.atomic_add(counters, LOOKUPS, wp.int64(lookups))
+        wp.atomic_add(counters, VERTICES, wp.int64(vertices))
+
+    return DeltaKernel(delta_path_tracing, flags)

@@ -1,0 +1,87 @@
+"""What is there: real and virtual objects and the light, on the host, in float64 world coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mrbatch.scene.environment import Environment
+from mrbatch.scene.mesh import Mesh
+
+MAX_TRIANGLES = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A picture on a surface: (H, W, 3) float32, scene-linear, and where it came from."""
+
+    pixels: np.ndarray
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface reflects.
+
+    `kind`: a name of mrbatch.kernels.bsdf ("diffuse", "conductor"). `reflectance` (3,) linear in
+    0..1; `texture` multiplies in place of it. `alpha`: GGX roughness. `from_photo`: the diffuse
+    reflectance of a real surface is what the photo and the light say it is.
+    """
+
+    kind: str = "diffuse"
+    reflectance: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    alpha: float = 0.0
+    texture: Texture | None = None
+    from_photo: bool = False
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """A mesh in the world with its material and switches.
+
+    `camera`: seen by the camera. `cast_shadow`: other surfaces see it (blocks and reflects light).
+    `receive`: light and shadow of virtual objects fall on it. `holdout`: what the camera sees of it
+    is the photo, untouched.
+    """
+
+    name: str
+    mesh: Mesh
+    material: Material
+    virtual: bool
+    camera: bool = True
+    cast_shadow: bool = True
+    receive: bool = True
+    holdout: bool = False
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Objects and light of a shot. `origin` (3,) float64: kernels work relative to it."""
+
+    objects: tuple[SceneObject, ...]
+    environment: Environment
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def real(self) -> tuple[SceneObject, ...]:
+        return tuple(o for o in self.objects if not o.virtual)
+
+    @property
+    def virtual(self) -> tuple[SceneObject, ...]:
+        return tuple(o for o in self.objects if o.virtual)
+
+
+def centre(objects: Sequence[SceneObject]) -> np.ndarray:
+    """Middle of all objects' bounds, rounded to a power of two of their size, so that a scene moved by
+    such steps gives the same bits."""
+    if not objects:
+        return np.zeros(3)
+    low = np.min([o.mesh.vertices.min(axis=0) for o in objects], axis=0)
+    high = np.max([o.mesh.vertices.max(axis=0) for o in objects], axis=0)
+    size = float(np.max(high - low))
+    if size == 0.0:
+        return (low + high) / 2
+    step = 2.0 ** np.floor(np.log2(size))
+    return np.round((low + high) / 2 / step) * step

@@ -1,0 +1,193 @@
+"""`SceneData`: the one struct that every kernel takes, and how it is filled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from mrbatch.device.rays import BuiltSet, Engine, RayMesh, RaySet, build_set
+from mrbatch.errors import InputError
+from mrbatch.kernels.bsdf import KINDS
+from mrbatch.kernels.environment import EnvironmentData
+from mrbatch.kernels.texture import TextureAtlas, build_texture_atlas
+from mrbatch.scene.scene import MAX_TRIANGLES, Scene
+
+VIRTUAL = wp.constant(wp.int32(1))
+RECEIVE = wp.constant(wp.int32(2))
+HOLDOUT = wp.constant(wp.int32(4))
+PHOTO = wp.constant(wp.int32(8))
+SMOOTH = wp.constant(wp.int32(16))
+
+
+@wp.struct
+class ObjectData:
+    """One object: flags (bits above), BSDF kind, reflectance, GGX alpha, texture number or -1."""
+
+    flags: wp.int32
+    kind: wp.int32
+    reflectance: wp.vec3
+    alpha: wp.float32
+    texture: wp.int32
+
+
+@wp.struct
+class SceneData:
+    """Geometry, materials and light. Positions are metres relative to the scene's origin.
+
+    Ray sets: `camera_set` is what the camera sees (real and virtual), `all_set` what surfaces see,
+    `real_set` and `virtual_set` its two parts.
+    """
+
+    camera_set: RaySet
+    all_set: RaySet
+    real_set: RaySet
+    virtual_set: RaySet
+    vertices: wp.array(dtype=wp.vec3)
+    normals: wp.array(dtype=wp.vec3)
+    uvs: wp.array(dtype=wp.vec2)
+    corners: wp.array(dtype=wp.vec3i)
+    triangle_object: wp.array(dtype=wp.int32)
+    objects: wp.array(dtype=ObjectData)
+    textures: TextureAtlas
+    environment: EnvironmentData
+
+
+@wp.struct
+class SurfacePoint:
+    """A point on a surface, with normals that face the side it was seen from.
+
+    `ng` geometric, `ns` shading normal; `uv` texture coordinates; `object` number. `reach`: the
+    length that the float error of `p` along `ng` is relative to.
+    """
+
+    p: wp.vec3
+    ng: wp.vec3
+    ns: wp.vec3
+    uv: wp.vec2
+    object: wp.int32
+    reach: wp.float32
+
+
+@wp.func
+def surface_point(scene: SceneData, triangle: wp.int32, u: float, v: float, d: wp.vec3) -> SurfacePoint:
+    """The surface at barycentrics (u, v) of a triangle, seen along `d`.
+
+    The position is interpolated from the corners: exact to their float spacing, where origin plus
+    distance times direction is not.
+    """
+    c = scene.corners[triangle]
+    a = scene.vertices[c[0]]
+    e1 = scene.vertices[c[1]] - a
+    e2 = scene.vertices[c[2]] - a
+    point = SurfacePoint()
+    point.object = scene.triangle_object[triangle]
+    point.p = a + e1 * u + e2 * v
+    point.ng = wp.normalize(wp.cross(e1, e2))
+    point.ns = point.ng
+    # Terms of the interpolation as they enter along the normal: 0 for a plane through an axis plane
+    # of the origin, whose points are exact, however large its triangles.
+    point.reach = (
+        wp.abs(point.ng[0]) * (wp.abs(a[0]) + u * wp.abs(e1[0]) + v * wp.abs(e2[0]))
+        + wp.abs(point.ng[1]) * (wp.abs(a[1]) + u * wp.abs(e1[1]) + v * wp.abs(e2[1]))
+        + wp.abs(point.ng[2]) * (wp.abs(a[2]) + u * wp.abs(e1[2]) + v * wp.abs(e2[2]))
+    )
+    if (scene.objects[point.object].flags & SMOOTH) != 0:
+        n = scene.normals[c[0]] * (1.0 - u - v) + scene.normals[c[1]] * u + scene.normals[c[2]] * v
+        length = wp.length(n)
+        if length > 0.0:
+            point.ns = n / length
+    if scene.objects[point.object].texture >= 0:
+        point.uv = scene.uvs[c[0]] * (1.0 - u - v) + scene.uvs[c[1]] * u + scene.uvs[c[2]] * v
+    # The shading normal decides nothing about sides: it follows the geometric one.
+    if wp.dot(point.ns, point.ng) < 0.0:
+        point.ns = -point.ns
+    if wp.dot(point.ng, d) > 0.0:
+        point.ng = -point.ng
+        point.ns = -point.ns
+    return point
+
+
+@dataclass(frozen=True)
+class DeviceScene:
+    """`data` for kernels, and what must stay alive with it."""
+
+    data: Any
+    scene: Scene
+    engine: Engine
+    kept: tuple[Any, ...]
+
+
+def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
+    """Builds the hierarchies and arrays of a scene.
+
+    Raises InputError where there are more triangles than an index can number.
+    """
+    data = SceneData()
+    meshes: list[RayMesh] = []
+    vertices, normals, uvs, corners, owners = [], [], [], [], []
+    objects = []
+    textures: list[np.ndarray] = []
+    n_vertices = n_triangles = 0
+    for number, item in enumerate(scene.objects):
+        mesh = item.mesh
+        local = (mesh.vertices - scene.origin).astype(np.float32)
+        n = len(local)
+        vertices.append(local)
+        smooth = mesh.normals is not None
+        normals.append(mesh.normals if mesh.normals is not None else np.zeros((n, 3), np.float32))
+        uvs.append(mesh.uvs if mesh.uvs is not None else np.zeros((n, 2), np.float32))
+        corners.append(mesh.faces + n_vertices)
+        owners.append(np.full(len(mesh.faces), number, np.int32))
+        meshes.append(RayMesh(number, local, mesh.faces, n_triangles))
+        n_vertices += n
+        n_triangles += len(mesh.faces)
+        entry = ObjectData()
+        entry.flags = (
+            int(item.virtual)
+            | int(item.receive) * 2
+            | int(item.holdout) * 4
+            | int(item.material.from_photo) * 8
+            | int(smooth) * 16
+        )
+        entry.kind = KINDS[item.material.kind]
+        entry.reflectance = wp.vec3(*item.material.reflectance)
+        entry.alpha = item.material.alpha
+        entry.texture = -1
+        if item.material.texture is not None:
+            entry.texture = len(textures)
+            textures.append(item.material.texture.pixels)
+        objects.append(entry)
+    if n_triangles > MAX_TRIANGLES:
+        raise InputError(f"{n_triangles} triangles are more than {MAX_TRIANGLES}")
+
+    def joined(parts: list[np.ndarray], width: int, dtype: type) -> np.ndarray:
+        return np.concatenate(parts).astype(dtype) if parts else np.zeros((1, width), dtype)
+
+    data.vertices = wp.array(joined(vertices, 3, np.float32), dtype=wp.vec3, device=device)
+    data.normals = wp.array(joined(normals, 3, np.float32), dtype=wp.vec3, device=device)
+    data.uvs = wp.array(joined(uvs, 2, np.float32), dtype=wp.vec2, device=device)
+    data.corners = wp.array(joined(corners, 3, np.int32), dtype=wp.vec3i, device=device)
+    owner = np.concatenate(owners) if owners else np.zeros(1, np.int32)
+    data.triangle_object = wp.array(owner, dtype=wp.int32, device=device)
+    data.objects = wp.array(objects or [ObjectData()], dtype=ObjectData, device=device)
+    data.textures = build_texture_atlas(textures, device=device)
+    data.environment = scene.environment.upload(device)
+
+    built: dict[tuple[int, ...], BuiltSet] = {}
+
+    def ray_set(chosen: list[int]) -> Any:
+        # Two sets of the same objects share one hierarchy.
+        key = tuple(chosen)
+        if key not in built:
+            built[key] = build_set([meshes[i] for i in chosen], engine, device)
+        return built[key].data
+
+    items = list(enumerate(scene.objects))
+    data.camera_set = ray_set([i for i, o in items if o.camera])
+    data.all_set = ray_set([i for i, o in items if o.cast_shadow])
+    data.real_set = ray_set([i for i, o in items if o.cast_shadow and not o.virtual])
+    data.virtual_set = ray_set([i for i, o in items if o.cast_shadow and o.virtual])
+    return DeviceScene(data, scene, engine, tuple(built.values()) + (meshes,))
