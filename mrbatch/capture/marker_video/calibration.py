@@ -1,0 +1,335 @@
+"""The camera's intrinsics from a calibration file.
+
+Read are OpenCV's FileStorage (YAML, XML, JSON), plain YAML and JSON (also ROS camera_info and
+RealSense's key names), NPZ and NPY. Known names of keys are listed in `MATRIX_KEYS`,
+`DISTORTION_KEYS` and `SIZE_KEYS`. OpenCV puts pixel centres at integers, this program at half
+integers: the principal point moves by +1/2 here, once, unless the file says `pixel_centres: half`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mrbatch.errors import InputError, Place
+from mrbatch.scene.camera import Camera
+
+MATRIX_KEYS = ("camera_matrix", "K", "cameraMatrix", "Camera_Matrix", "CameraMatrix", "camera_mat")
+MATRIX_KEYS += ("matrix", "mtx", "intrinsic_matrix", "intrinsics", "M", "cam_mtx")
+DISTORTION_KEYS = ("distortion_coefficients", "Distortion_Coefficients", "dist", "dist_coeffs")
+DISTORTION_KEYS += ("distCoeffs", "distortion", "D", "dist_coefs", "distortion_coefs", "distCoeff")
+DISTORTION_KEYS += ("dist_coef", "coeffs", "DistCoeffs")
+SIZE_KEYS = ("image_size", "imageSize", "resolution", "size", "img_size")
+WIDTH_KEYS = ("image_width", "width", "Image_Width", "imageWidth", "image_Width")
+HEIGHT_KEYS = ("image_height", "height", "Image_Height", "imageHeight", "image_Height")
+_MODEL_KEYS = ("distortion_model", "model", "camera_model", "calibration_model")
+_SUPPORTED_MODELS = {"plumb_bob", "rational_polynomial", "brown_conrady", "opencv", "opencv5", "opencv8"}
+_SUPPORTED_MODELS |= {"pinhole", "perspective", "radtan", "none", ""}
+
+PixelCentres = Literal["integer", "half"]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Intrinsics of a camera.
+
+    `width`, `height`: size in pixels of the pictures it is for, None where the file does not say.
+    `matrix` (3, 3) float64: focal lengths and principal point in pixels, pixel centres at HALF
+    integers, as in `Camera`. `distortion` (8,) float64: OpenCV's k1 k2 p1 p2 k3 k4 k5 k6.
+    `source`: the file.
+    """
+
+    width: int | None
+    height: int | None
+    matrix: np.ndarray
+    distortion: np.ndarray
+    source: str = ""
+
+    def opencv_matrix(self) -> np.ndarray:
+        """(3, 3) `matrix` with pixel centres at integers, as OpenCV's functions want it."""
+        matrix = self.matrix.copy()
+        matrix[:2, 2] -= 0.5
+        return matrix
+
+    def check_size(self, width: int, height: int, place: Place | None = None) -> None:
+        """Raises InputError where pictures have another size than the calibration is for."""
+        if self.width is not None and (self.width, self.height) != (width, height):
+            raise InputError(
+                f"the picture is {width}x{height} but the calibration {self.source} is for "
+                f"{self.width}x{self.height}",
+                place=place,
+                hint="calibrate at the size that was filmed, or scale the calibration file",
+            )
+
+    def camera(self, world_from_camera: np.ndarray, width: int, height: int) -> Camera:
+        """A `Camera` at a pose (4, 4), for pictures of this size. Raises InputError for another size."""
+        self.check_size(width, height)
+        return Camera(
+            width, height, self.matrix, self.distortion, np.array(world_from_camera, dtype=np.float64)
+        )
+
+
+def make_calibration(
+    matrix: Any,
+    distortion: Any = None,
+    width: int | None = None,
+    height: int | None = None,
+    *,
+    pixel_centres: PixelCentres = "integer",
+    source: str = "",
+) -> Calibration:
+    """A checked `Calibration`. Raises InputError for intrinsics that no camera has.
+
+    `matrix` (3, 3) or 9 numbers, `distortion` 0, 4, 5 or 8 numbers in OpenCV's order (12 and 14 are
+    taken where thin prism and tilt are zero).
+    """
+    place = Place(file=source) if source else None
+    try:
+        k = np.array(matrix, dtype=np.float64)
+        d = np.zeros(0) if distortion is None else np.array(distortion, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        raise InputError("the intrinsics are not numbers", place=place) from None
+    if k.size != 9:
+        raise InputError(f"the camera matrix has shape {k.shape}, expected 3 x 3", place=place)
+    k = k.reshape(3, 3)
+    if not np.all(np.isfinite(k)) or not np.all(np.isfinite(d)):
+        raise InputError("the intrinsics hold NaN or infinity", place=place, hint="calibrate again")
+    if k[0, 0] <= 0 or k[1, 1] <= 0:
+        if k[0, 0] * k[1, 1] == 0:
+            raise InputError("the camera matrix is singular: a focal length is 0", place=place)
+        raise InputError(f"the focal lengths {k[0, 0]:g} and {k[1, 1]:g} are not both positive", place=place)
+    if not np.allclose(k[2], [0, 0, 1], rtol=0, atol=1e-9) or k[1, 0] != 0:
+        singular = abs(np.linalg.det(k / np.abs(k).max())) < 1e-15
+        raise InputError(
+            "the camera matrix is singular"
+            if singular
+            else "the camera matrix is not of the form [fx 0 cx; 0 fy cy; 0 0 1]",
+            place=place,
+            hint="give the intrinsic matrix, not a projection or its transpose",
+        )
+    if abs(k[0, 1]) > 1e-9 * k[0, 0]:
+        raise InputError(f"the camera matrix has skew {k[0, 1]:g}, which is not supported", place=place)
+    if d.size > 8 and np.any(d[8:12]):
+        raise InputError(
+            f"thin prism distortion ({d.size} coefficients) is not supported",
+            place=place,
+            hint="calibrate with the rational model (8 coefficients)",
+        )
+    if d.size > 12 and np.any(d[12:]):
+        raise InputError(
+            f"tilted sensor distortion ({d.size} coefficients) is not supported",
+            place=place,
+            hint="calibrate with the rational model (8 coefficients)",
+        )
+    if d.size not in (0, 4, 5, 8, 12, 14):
+        raise InputError(
+            f"{d.size} distortion coefficients are not supported: expected 0, 4, 5 or 8",
+            place=place,
+            hint="OpenCV's order is k1 k2 p1 p2 k3 k4 k5 k6",
+        )
+    for name, value in (("width", width), ("height", height)):
+        if value is not None and value <= 0:
+            raise InputError(f"the image's {name} is {value}, expected a positive number", place=place)
+    if (width is None) != (height is None):
+        raise InputError("the image's width and height must be given together", place=place)
+    camera = Camera.from_opencv(0, 0, k, d, np.eye(4), pixel_centres=pixel_centres)
+    return Calibration(width, height, camera.matrix, camera.distortion, source)
+
+
+def load_calibration(
+    path: str | Path, *, section: str | None = None, pixel_centres: PixelCentres | None = None
+) -> Calibration:
+    """Intrinsics from a file.
+
+    `section`: name of the part of a file that holds several calibrations. `pixel_centres`: where the
+    file's own word is missing or wrong (`integer` is OpenCV's convention and the default).
+    Raises InputError: unreadable file, missing keys, impossible intrinsics, unsupported distortion.
+    """
+    path = Path(path)
+    place = Place(file=str(path))
+    if not path.is_file():
+        raise InputError("the calibration file does not exist", place=place)
+    content = _read(path, place)
+    if section is not None:
+        if not isinstance(content.get(section), Mapping):
+            raise InputError(
+                f"there is no section `{section}`", place=place, hint=f"the file has {_names(content)}"
+            )
+        content = content[section]
+    elif not _has_matrix(content):
+        parts = [name for name, part in content.items() if isinstance(part, Mapping) and _has_matrix(part)]
+        if len(parts) > 1:
+            raise InputError(
+                f"the file holds {len(parts)} calibrations: {', '.join(parts)}",
+                place=place,
+                hint="name one of them as `section`",
+            )
+        if parts:
+            content = content[parts[0]]
+    return _from_mapping(content, str(path), pixel_centres)
+
+
+def _has_matrix(content: Mapping[str, Any]) -> bool:
+    if any(key in content for key in ("fx", "fy")):
+        return True
+    return any(key in content and not (key == "matrix" and _is_pose(content[key])) for key in MATRIX_KEYS)
+
+
+def _is_pose(value: Any) -> bool:
+    return np.size(value) == 16 if not isinstance(value, Mapping) else False
+
+
+def _names(content: Mapping[str, Any]) -> str:
+    return ", ".join(str(key) for key in content) or "no keys"
+
+
+def _first(content: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
+    for key in keys:
+        if key in content and content[key] is not None:
+            value = content[key]
+            # FileStorage and ROS wrap matrices: {rows, cols, data}
+            return value["data"] if isinstance(value, Mapping) and "data" in value else value
+    return None
+
+
+def _from_mapping(content: Mapping[str, Any], source: str, centres: PixelCentres | None) -> Calibration:
+    place = Place(file=source)
+    distortion = _first(content, DISTORTION_KEYS)
+    _check_model(content, distortion, place)
+    matrix = _first(content, MATRIX_KEYS)
+    if isinstance(matrix, Mapping):
+        content, matrix = {**content, **matrix}, None
+    if matrix is None:
+        ppx, ppy = content.get("cx", content.get("ppx")), content.get("cy", content.get("ppy"))
+        if content.get("fx") is None or content.get("fy") is None or ppx is None or ppy is None:
+            raise InputError(
+                "no camera matrix found",
+                place=place,
+                hint=f"the file has {_names(content)}; expected `camera_matrix` or fx, fy, cx, cy",
+            )
+        matrix = [[content["fx"], 0, ppx], [0, content["fy"], ppy], [0, 0, 1]]
+    width, height = _first(content, WIDTH_KEYS), _first(content, HEIGHT_KEYS)
+    size = _first(content, SIZE_KEYS)
+    if width is None and height is None and size is not None and np.size(size) == 2:
+        width, height = np.asarray(size).ravel()
+    said = content.get("pixel_centres")
+    said = str(said) if said is not None else None
+    if said not in (None, "integer", "half"):
+        raise InputError(f"`pixel_centres` is `{said}`, expected integer or half", place=place)
+    try:
+        pixels = [None if v is None else int(np.asarray(v).ravel()[0]) for v in (width, height)]
+    except (TypeError, ValueError, IndexError):
+        raise InputError("the image's width and height are not numbers", place=place) from None
+    return make_calibration(
+        matrix, distortion, pixels[0], pixels[1], pixel_centres=centres or said or "integer", source=source
+    )
+
+
+def _check_model(content: Mapping[str, Any], distortion: Any, place: Place) -> None:
+    """Refuses lens models whose coefficients mean something else."""
+    if content.get("fisheye") or "xi" in content:
+        raise InputError(
+            "fisheye and omnidirectional lens models are not supported",
+            place=place,
+            hint="undistort the pictures to a perspective view first",
+        )
+    for key in _MODEL_KEYS:
+        model = content.get(key)
+        if model is None or isinstance(model, Mapping):
+            continue
+        name = str(model).lower().replace("distortion.", "").strip()
+        harmless = distortion is not None and not np.any(np.asarray(distortion, dtype=np.float64))
+        if name not in _SUPPORTED_MODELS and not (harmless and name == "inverse_brown_conrady"):
+            raise InputError(
+                f"the lens model `{model}` is not supported",
+                place=place,
+                hint="supported: OpenCV's 4, 5 or 8 coefficients (plumb_bob, rational_polynomial)",
+            )
+
+
+def _read(path: Path, place: Place) -> dict[str, Any]:
+    suffix = path.suffix.lower()
+    if suffix in (".npz", ".npy"):
+        return _read_numpy(path, place)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"the calibration file cannot be read as text ({error})", place=place) from None
+    if suffix == ".xml" or text.lstrip().startswith(("<?xml", "<opencv")) or "opencv-matrix" in text:
+        return _read_filestorage(text, suffix, place)
+    try:
+        if suffix == ".json" or text.lstrip().startswith("{"):
+            content = json.loads(text)
+        else:
+            from ruamel.yaml import YAML
+
+            # OpenCV writes "%YAML:1.0", which no YAML reader takes
+            lines = [line for line in text.splitlines() if not line.startswith("%YAML:")]
+            content = YAML(typ="safe", pure=True).load("\n".join(lines))
+    except Exception as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"the calibration file cannot be read ({reason})", place=place) from None
+    if not isinstance(content, dict):
+        raise InputError(
+            "the calibration file holds no keys",
+            place=place,
+            hint="expected `camera_matrix` and `distortion_coefficients`",
+        )
+    return content
+
+
+def _read_numpy(path: Path, place: Place) -> dict[str, Any]:
+    try:
+        with path.open("rb") as stream:
+            content = np.load(stream, allow_pickle=False)
+            if isinstance(content, np.ndarray):
+                return {"camera_matrix": content}
+            return {key: content[key][()] for key in content.files}
+    except ValueError as error:
+        if "pickle" in str(error).lower():
+            raise InputError(
+                "the file holds pickled Python objects, which are not read",
+                place=place,
+                hint="save plain arrays: np.savez(path, camera_matrix=K, dist=d)",
+            ) from None
+        raise InputError(f"the calibration file cannot be read ({error})", place=place) from None
+    except Exception as error:
+        raise InputError(f"the calibration file cannot be read ({error})", place=place) from None
+
+
+def _read_filestorage(text: str, suffix: str, place: Place) -> dict[str, Any]:
+    import cv2
+
+    kind = {".xml": cv2.FileStorage_FORMAT_XML, ".json": cv2.FileStorage_FORMAT_JSON}.get(
+        suffix, cv2.FileStorage_FORMAT_AUTO
+    )
+    try:
+        storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY | kind)
+        root = storage.root()
+        content = {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
+    except (cv2.error, SystemError) as error:
+        cause = error.__cause__ or error
+        reason = str(cause).strip().splitlines()[-1]
+        raise InputError(f"OpenCV cannot read the calibration file ({reason})", place=place) from None
+    storage.release()
+    return content
+
+
+def _node(node) -> Any:
+    """Value of a FileStorage node: number, text, matrix, list or mapping."""
+    if node.isInt() or node.isReal():
+        return node.real()
+    if node.isString():
+        return node.string()
+    if node.isSeq():
+        return [_node(node.at(i)) for i in range(node.size())]
+    if node.isMap():
+        if "dt" in node.keys():  # noqa: SIM118
+            return node.mat()
+        return {key: _node(node.getNode(key)) for key in node.keys()}  # noqa: SIM118
+    return None
