@@ -157,7 +157,7 @@ def _blackman_harris_filter(radius: float) -> Any:
                 wp.static(float(a1)) * c + wp.static(float(a2)) * c2 + wp.static(float(a3)) * c3
             )
             step = x - residual / wp.max(density, 1.0e-5)
-            if step <= low or step >= high:
+            if step < low or step > high:
                 step = 0.5 * (low + high)
             moved = wp.abs(step - x)
             x = step
