@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "in": 0.0254, "ft": 0.3048}
 ANGLE_UNITS = {"deg": math.pi / 180.0, "rad": 1.0, "turn": 2.0 * math.pi}
@@ -54,9 +54,12 @@ def parse_quantity(value: Any, units: dict[str, float], what: str) -> float:
 
 
 def _quantity(units: dict[str, float], what: str):
+    base = next(unit for unit, factor in units.items() if factor == 1.0)
     pattern = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*(" + "|".join(units) + r")\s*$"
     return (
         BeforeValidator(lambda value: parse_quantity(value, units, what)),
+        # `0.06 m`: what is written to JSON reads back to the same bits.
+        PlainSerializer(lambda value: f"{float(value)!r} {base}", return_type=str, when_used="json"),
         WithJsonSchema(
             {
                 "anyOf": [{"type": "string", "pattern": pattern}, {"const": 0}],
@@ -95,10 +98,22 @@ def _to_colour(value: Any) -> Any:
     return _to_tuple(value)
 
 
-Albedo = Annotated[tuple[Reflectance, Reflectance, Reflectance], BeforeValidator(_to_colour)]
+def _colour_schema(limits: dict[str, float]) -> WithJsonSchema:
+    number = {"type": "number", **limits}
+    array = {"type": "array", "prefixItems": [number] * 3, "minItems": 3, "maxItems": 3}
+    return WithJsonSchema({"anyOf": [number, array]})
+
+
+Albedo = Annotated[
+    tuple[Reflectance, Reflectance, Reflectance],
+    BeforeValidator(_to_colour),
+    _colour_schema({"minimum": 0.0, "maximum": 1.0}),
+]
 """Linear Rec.709 reflectance in 0..1; one number stands for grey."""
 Positive = Annotated[float, BeforeValidator(_to_float), Field(ge=0.0, allow_inf_nan=False)]
-Colour = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_to_colour)]
+Colour = Annotated[
+    tuple[Positive, Positive, Positive], BeforeValidator(_to_colour), _colour_schema({"minimum": 0.0})
+]
 """Linear Rec.709 radiance or gain, not negative; one number stands for grey."""
 
 
@@ -114,5 +129,8 @@ def _to_path(value: Any) -> Any:
     return Path(value)
 
 
-InputPath = Annotated[Path, BeforeValidator(_to_path), INPUT_PATH]
+_to_posix = PlainSerializer(lambda path: path.as_posix(), return_type=str, when_used="json")
+InputPath = Annotated[Path, BeforeValidator(_to_path), _to_posix, INPUT_PATH]
 """A file or file pattern that is read; relative paths count from the job file."""
+OutputPath = Annotated[Path, BeforeValidator(_to_path), _to_posix]
+"""A file or folder that is written; relative paths count from the job file."""

@@ -1,0 +1,316 @@
+"""What a job says of the scene: environment, real surfaces, virtual objects.
+
+All lengths are metres and all angles radians after reading. Matrices read `a_from_b`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from mrbatch.quantities import (
+    Albedo,
+    Angle,
+    InputPath,
+    Length,
+    Number,
+    Position,
+    Positive,
+    Reflectance,
+    Rotation,
+    Settings,
+    Vector3,
+)
+
+ORTHONORMAL_TOLERANCE = 1e-5
+"""Largest entry of R^T R - 1 that a rotation given with six decimals may have."""
+
+NAME_PATTERN = r"^[^\W\d][\w -]*$"
+Name = Annotated[str, Field(pattern=NAME_PATTERN, max_length=64)]
+"""A letter, then letters, digits, spaces, `_` and `-`: no dots, so that `--set virtual.NAME.x=` works."""
+
+
+def _to_tuple(value: Any) -> Any:
+    return tuple(_to_tuple(item) for item in value) if isinstance(value, list) else value
+
+
+def _to_triple(value: Any) -> Any:
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return (float(value),) * 3
+    return _to_tuple(value)
+
+
+PositiveLength = Annotated[Length, Field(gt=0.0)]
+Row3 = tuple[Number, Number, Number]
+Row4 = tuple[Number, Number, Number, Number]
+Matrix3 = Annotated[tuple[Row3, Row3, Row3], BeforeValidator(_to_tuple)]
+Matrix4 = Annotated[tuple[Row4, Row4, Row4, Row4], BeforeValidator(_to_tuple)]
+Scale3 = Annotated[
+    Vector3,
+    BeforeValidator(_to_triple),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "number"},
+                {"type": "array", "prefixItems": [{"type": "number"}] * 3, "minItems": 3, "maxItems": 3},
+            ]
+        }
+    ),
+]
+
+
+class Environment(Settings):
+    """Light from far away: an equirectangular map, linear Rec.709 radiance."""
+
+    file: InputPath = Field(description="The map: an equirectangular picture, EXR or HDR, scene-linear")
+    rows: Literal["centres", "endpoints"] = Field(
+        "centres",
+        description="Where row r of H lies: `centres` v = (r + 1/2) / H, `endpoints` v = r / (H - 1)",
+    )
+    yaw: Angle = Field(
+        0.0, description="Turns the map about the world's +Z, counter-clockwise seen from above"
+    )
+    world_from_map: Matrix3 | None = Field(
+        None, description="Rotation, 3x3, that takes directions of the map to the world; instead of `yaw`"
+    )
+    scale: Positive = Field(1.0, description="Factor on the map's radiance, 0 or more")
+    interpolation: Literal["bilinear", "nearest"] = Field(
+        "bilinear", description="How radiance is read between the map's texels"
+    )
+
+    @field_validator("world_from_map")
+    @classmethod
+    def _is_rotation(cls, value: Any) -> Any:
+        if value is not None:
+            r = np.array(value, dtype=np.float64)
+            if np.max(np.abs(r.T @ r - np.eye(3))) > ORTHONORMAL_TOLERANCE:
+                raise ValueError("is not a rotation: its columns are not unit vectors at right angles")
+            if np.linalg.det(r) < 0.0:
+                raise ValueError("is not a rotation but mirrors: its determinant is -1")
+        return value
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> Environment:
+        if self.world_from_map is not None and self.yaw != 0.0:
+            raise ValueError("`yaw` and `world_from_map` are both given: give one")
+        return self
+
+    def rotation(self) -> np.ndarray:
+        """`world_from_map` (3, 3) float64, from the matrix or from `yaw`."""
+        if self.world_from_map is not None:
+            return np.array(self.world_from_map, dtype=np.float64)
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+class Texture(Settings):
+    """A reflectance that varies over the surface: a picture looked up at the mesh's UV."""
+
+    texture: InputPath = Field(description="The picture; u runs right, v up, 0..1 over the picture")
+    colour: Literal["srgb", "linear"] = Field(
+        "srgb", description="Transfer function of the picture's code values; reflectance is linear Rec.709"
+    )
+    mean: Albedo | None = Field(
+        None, description="Scales the texture so that its mean reflectance is this, 0..1; none: as it is"
+    )
+
+
+def _reflectance_tag(value: Any) -> str:
+    if isinstance(value, (dict, Texture)):
+        return "<texture>"
+    return "<photo>" if isinstance(value, str) else "<constant>"
+
+
+_ConstantOrTexture = Annotated[
+    Annotated[Albedo, Tag("<constant>")] | Annotated[Texture, Tag("<texture>")],
+    Discriminator(lambda value: "<texture>" if isinstance(value, (dict, Texture)) else "<constant>"),
+]
+_ConstantTextureOrPhoto = Annotated[
+    Annotated[Albedo, Tag("<constant>")]
+    | Annotated[Texture, Tag("<texture>")]
+    | Annotated[Literal["photo"], Tag("<photo>")],
+    Discriminator(_reflectance_tag),
+]
+
+
+class Diffuse(Settings):
+    """Reflects the same radiance in all directions (Lambert)."""
+
+    type: Literal["diffuse"] = Field("diffuse", description="Kind of material")
+    reflectance: _ConstantOrTexture = Field(
+        (0.5, 0.5, 0.5), description="Share of light reflected, linear Rec.709, 0..1, or a texture"
+    )
+
+
+class Conductor(Settings):
+    """Metal: GGX microfacets with a reflectance at normal incidence (Schlick)."""
+
+    type: Literal["conductor"] = Field("conductor", description="Kind of material")
+    reflectance: _ConstantOrTexture = Field(
+        (0.9, 0.9, 0.9),
+        description="Share of light reflected at normal incidence, linear Rec.709, 0..1, or a texture",
+    )
+    roughness: Reflectance = Field(0.15, description="GGX alpha (not its root), 0..1")
+
+
+Material = Annotated[Diffuse | Conductor, Field(discriminator="type")]
+
+
+class Transform(Settings):
+    """Where an object is: world_from_object = translate * rotate * scale, or a matrix."""
+
+    translate: Position = Field((0.0, 0.0, 0.0), description="Shift along world x, y, z: lengths")
+    rotate: Rotation = Field(
+        (0.0, 0.0, 0.0), description="Turns about the world's x, then y, then z axis (right-handed): angles"
+    )
+    scale: Scale3 = Field((1.0, 1.0, 1.0), description="Factor, or one for each of the object's axes; not 0")
+    matrix: Matrix4 | None = Field(
+        None, description="world_from_object, 4x4 by rows, metres; instead of the three others"
+    )
+
+    @field_validator("scale")
+    @classmethod
+    def _scales(cls, value: Any) -> Any:
+        if 0.0 in value:
+            raise ValueError("must not be 0")
+        return value
+
+    @field_validator("matrix")
+    @classmethod
+    def _affine(cls, value: Any) -> Any:
+        if value is not None:
+            if tuple(value[3]) != (0.0, 0.0, 0.0, 1.0):
+                raise ValueError("the last row must be 0, 0, 0, 1")
+            linear = np.array(value, dtype=np.float64)[:3, :3]
+            # Relative to the product of the columns' lengths: a scale of 1e-6 is fine, a flat matrix is not.
+            lengths = np.linalg.norm(linear, axis=0)
+            if np.prod(lengths) == 0.0 or abs(np.linalg.det(linear / lengths)) < 1e-12:
+                raise ValueError("the matrix is singular: it flattens the object")
+        return value
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Transform:
+        parts = (self.translate, self.rotate, self.scale)
+        if self.matrix is not None and parts != ((0.0,) * 3, (0.0,) * 3, (1.0,) * 3):
+            raise ValueError("`matrix` stands alone: leave out `translate`, `rotate` and `scale`")
+        return self
+
+    def world_from_object(self) -> np.ndarray:
+        """(4, 4) float64, metres."""
+        if self.matrix is not None:
+            return np.array(self.matrix, dtype=np.float64)
+        (cx, cy, cz), (sx, sy, sz) = np.cos(self.rotate), np.sin(self.rotate)
+        about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+        about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+        result = np.eye(4)
+        result[:3, :3] = about_z @ about_y @ about_x @ np.diag(self.scale)
+        result[:3, 3] = self.translate
+        return result
+
+
+class Plane(Settings):
+    """A rectangle in z = 0 about the origin, facing +z; u runs along x, v along y."""
+
+    size: Annotated[tuple[PositiveLength, PositiveLength], BeforeValidator(_to_tuple)] = Field(
+        description="Extent along x and y: lengths above 0"
+    )
+
+
+class Box(Settings):
+    """A box about the origin."""
+
+    size: Annotated[tuple[PositiveLength, PositiveLength, PositiveLength], BeforeValidator(_to_tuple)] = (
+        Field(description="Extent along x, y and z: lengths above 0")
+    )
+
+
+class Sphere(Settings):
+    """A ball about the origin."""
+
+    radius: PositiveLength = Field(description="Radius: a length above 0")
+
+
+SHAPES = ("mesh", "plane", "box", "sphere")
+
+
+class Object(Settings):
+    """A shape with its place in the world. Exactly one of `mesh`, `plane`, `box`, `sphere` is given."""
+
+    name: Name = Field(description="Name in layers, reports and `--set`; a letter first, no dots")
+    mesh: InputPath | None = Field(None, description="Triangle mesh: PLY, OBJ, STL or GLB, in metres")
+    plane: Plane | None = Field(None, description="A rectangle in z = 0 about the origin")
+    box: Box | None = Field(None, description="A box about the origin")
+    sphere: Sphere | None = Field(None, description="A ball about the origin")
+    transform: Transform = Field(Transform(), description="Where it stands in the world")
+    normals: Literal["file", "smooth", "flat"] = Field(
+        "file",
+        description="Shading normals: `file` as stored (flat where none are), `smooth` averaged at vertices, "
+        "`flat` of the triangles",
+    )
+    camera: bool = Field(True, description="Whether the camera sees it")
+    cast_shadow: bool = Field(True, description="Whether it blocks and reflects light that falls on others")
+    receive: bool = Field(True, description="Whether light and shadow of others change it")
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _one_shape(cls, data: Any, handler: Any) -> Any:
+        """Counts the shapes beside the other checks, so that one reading shows all errors."""
+        given = [shape for shape in SHAPES if isinstance(data, dict) and data.get(shape) is not None]
+        if not isinstance(data, dict) or len(given) == 1:
+            return handler(data)
+        if given:
+            message = f"{' and '.join(f'`{shape}`' for shape in given)} are given: an object has one shape"
+        else:
+            message = f"no shape: give one of {', '.join(f'`{shape}`' for shape in SHAPES)}"
+        found: list[InitErrorDetails] = []
+        try:
+            handler(data)
+        except ValidationError as error:
+            if not given and any(
+                e["type"] == "extra_forbidden" and len(e["loc"]) == 1 for e in error.errors()
+            ):
+                raise  # a misspelt shape is one mistake, not two
+            found = [_again(e) for e in error.errors()]
+        found.append(
+            {"type": PydanticCustomError("problem", "{message}", {"message": message}), "input": None}
+        )
+        raise ValidationError.from_exception_data(cls.__name__, found)
+
+
+def _again(error: Any) -> InitErrorDetails:
+    """An error in the form in which pydantic takes it back."""
+    kind: Any = error["type"]
+    if kind == "problem":
+        kind = PydanticCustomError("problem", "{message}", error["ctx"])
+    return {"type": kind, "loc": error["loc"], "input": error["input"], "ctx": error.get("ctx", {})}
+
+
+class RealObject(Object):
+    """A surface of the captured place, as far as light needs it. Its picture is the photo's."""
+
+    reflectance: _ConstantTextureOrPhoto = Field(
+        description="Diffuse reflectance, linear Rec.709, 0..1: grey, [r, g, b], a texture, or `photo`, which "
+        "takes it from the picture by Delta = L_b dE / E_r"
+    )
+
+
+class VirtualObject(Object):
+    """Something that was not there."""
+
+    material: Material = Field(Diffuse(), description="How its surface reflects")
+    holdout: bool = Field(
+        False, description="Whether it cuts a hole: it hides virtual objects and shows the photo"
+    )
