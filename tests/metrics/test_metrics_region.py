@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from mrbatch.errors import InputError
-from mrbatch.metrics.region import dilate, region_of_interest
+from mrbatch.metrics.region import (
+    dilate,
+    noise_deviation,
+    noisy_region_of_interest,
+    region_of_interest,
+)
 
 
 def test_region_is_the_change_and_a_disc_of_eight_pixels():
@@ -57,3 +62,28 @@ def test_dilation_wider_than_the_picture():
 def test_sizes_must_agree():
     with pytest.raises(InputError, match="differ in size"):
         region_of_interest(np.ones((4, 4, 3)), np.ones((4, 5, 3)))
+
+
+def test_noise_is_read_off_a_slope_and_a_step():
+    rng = np.random.default_rng(8)
+    rows, columns = np.mgrid[:240, :320]
+    picture = 0.02 * rows + 0.01 * columns + 5.0 * (columns > 40)
+    noisy = (picture + rng.normal(0, 0.05, picture.shape))[..., None]
+    got = noise_deviation(noisy)[10:-10, 10:-10]
+    assert np.median(got) == pytest.approx(0.05, rel=0.05)
+    assert noise_deviation(picture[..., None])[10:-10, 10:-10].max() < 1e-6
+
+
+def test_noisy_references_give_the_region_of_clean_ones():
+    rng = np.random.default_rng(9)
+    rows, columns = np.mgrid[:96, :128]
+    shadow = 0.4 * np.exp(-((rows - 48) ** 2 + (columns - 64) ** 2) / (2 * 6.0**2))
+    without = np.full((96, 128, 3), 0.5)
+    clean = without * (1 - shadow[..., None])
+    noisy = [p * (1 + rng.normal(0, 0.02, p.shape)) for p in (clean, without)]
+    truth = region_of_interest(clean, without)
+    got = noisy_region_of_interest(*noisy)
+    assert region_of_interest(*noisy).mean() > 0.99
+    # The faint rim lies below the noise: most of the region, and almost nothing besides it.
+    assert (got & truth).sum() > 0.7 * truth.sum()
+    assert (got & ~dilate(truth, 7)).sum() < 0.01 * got.size
