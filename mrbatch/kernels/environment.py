@@ -15,10 +15,11 @@ from typing import Any, Literal
 
 import warp as wp
 
+from mrbatch.kernels.numerics import arctangent2
+
 _INV_PI = wp.constant(wp.float32(0.3183098861837907))
 _INV_TWO_PI = wp.constant(wp.float32(0.15915494309189535))
-_TWO_PI = wp.constant(wp.float64(6.283185307179586))
-_HALF = wp.constant(wp.float64(0.5))
+_PI = wp.constant(wp.float64(3.141592653589793))
 _ONE = wp.constant(wp.float64(1.0))
 _ZERO = wp.constant(wp.float64(0.0))
 
@@ -34,6 +35,7 @@ class EnvironmentData:
     cells' edges. `row_cdf` (R + 1), `column_cdf` (R * (W + 1), row after row): float64, from 0 to
     exactly 1. `row_guide` (row_bins + 1), `column_guide` (R * (column_bins + 1)): for each of a power
     of two of equal intervals of [0, 1], the cell that holds its start.
+    `step`: 2 pi / W; `density`: 1 / step, or 0 for a black map.
     """
 
     map_from_world: wp.mat33
@@ -45,13 +47,15 @@ class EnvironmentData:
     columns: int
     row_bins: int
     column_bins: int
+    density: wp.float64
+    step: wp.float64
     nodes: wp.array2d(dtype=wp.vec3)
     pdf: wp.array2d(dtype=wp.float32)
     row_z: wp.array(dtype=wp.float64)
     row_cdf: wp.array(dtype=wp.float64)
-    row_guide: wp.array(dtype=wp.int32)
+    row_guide: wp.array(dtype=wp.uint16)
     column_cdf: wp.array(dtype=wp.float64)
-    column_guide: wp.array(dtype=wp.int32)
+    column_guide: wp.array(dtype=wp.uint16)
 
 
 @wp.struct
@@ -70,8 +74,8 @@ class EnvironmentSample:
 def direction_to_uv(d: wp.vec3) -> wp.vec2:
     """Map-frame direction (any length but 0) to (u, v) in [0, 1]^2; accurate at the poles too."""
     return wp.vec2(
-        0.5 - wp.atan2(d[1], d[0]) * _INV_TWO_PI,
-        wp.atan2(wp.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) * _INV_PI,
+        0.5 - arctangent2(d[1], d[0]) * _INV_TWO_PI,
+        arctangent2(wp.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) * _INV_PI,
     )
 
 
@@ -98,7 +102,7 @@ def _nearest(env: EnvironmentData, row: int, column: int, fx: float, fy: float) 
 def find_interval(
     cdf: wp.array(dtype=wp.float64),
     first: int,
-    guide: wp.array(dtype=wp.int32),
+    guide: wp.array(dtype=wp.uint16),
     guide_first: int,
     bins: int,
     u: wp.float64,
@@ -106,8 +110,8 @@ def find_interval(
     """The i with cdf[first + i] <= u < cdf[first + i + 1], for u in [0, 1): never an empty interval."""
     # `bins` is a power of two, so the product is exact and the guide brackets the answer.
     k = wp.min(int(u * wp.float64(bins)), bins - 1)
-    low = guide[guide_first + k]
-    high = guide[guide_first + k + 1]
+    low = int(guide[guide_first + k])
+    high = int(guide[guide_first + k + 1])
     while low < high:
         middle = (low + high + 1) >> 1
         if cdf[first + middle] <= u:
@@ -150,29 +154,32 @@ def _make(interpolate: Any) -> tuple[Any, Any]:
         """A direction drawn in proportion to the map's cells; `u` in [0, 1)^2, all its bits are used."""
         row = find_interval(env.row_cdf, 0, env.row_guide, 0, env.row_bins, u[0])
         below = env.row_cdf[row]
-        rest = (u[0] - below) / (env.row_cdf[row + 1] - below)
+        row_width = env.row_cdf[row + 1] - below
+        rest = (u[0] - below) / row_width
         first = row * (env.columns + 1)
         guide = row * (env.column_bins + 1)
         column = find_interval(env.column_cdf, first, env.column_guide, guide, env.column_bins, u[1])
         left = env.column_cdf[first + column]
-        fx = (u[1] - left) / (env.column_cdf[first + column + 1] - left)
+        column_width = env.column_cdf[first + column + 1] - left
+        fx = (u[1] - left) / column_width
 
         top = env.row_z[row]
-        z = top + rest * (env.row_z[row + 1] - top)
+        drop = top - env.row_z[row + 1]
+        z = top - rest * drop
         # (1 - z)(1 + z) keeps the sine's digits near the poles.
         sine = wp.sqrt(wp.max((_ONE - z) * (_ONE + z), _ZERO))
-        across = (wp.float64(column) + fx - wp.float64(env.column_offset)) / wp.float64(env.column_scale)
-        phi = float(_TWO_PI * (_HALF - across))
+        phi = float(_PI - (wp.float64(column) + fx - wp.float64(env.column_offset)) * env.step)
         fz = float(z)
         fsine = float(sine)
-        fy = wp.atan2(fsine, fz) * _INV_PI * env.row_scale + env.row_offset - float(row)
+        fy = arctangent2(fsine, fz) * _INV_PI * env.row_scale + env.row_offset - float(row)
 
         result = EnvironmentSample()
         result.direction = wp.transpose(env.map_from_world) @ wp.vec3(
             fsine * wp.cos(phi), fsine * wp.sin(phi), fz
         )
         result.radiance = interpolate(env, row, column, float(fx), wp.clamp(fy, 0.0, 1.0))
-        result.pdf = env.pdf[row, column]
+        # Probability over solid angle; reading it from `pdf` would be one more cache miss.
+        result.pdf = float(row_width * column_width * env.density / drop)
         return result
 
     return env_radiance, env_sample
