@@ -1,0 +1,222 @@
+"""Numerics against float64 NumPy and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from mrbatch.kernels import numerics as nm
+
+wp.config.quiet = True
+
+
+@wp.kernel(enable_backward=False)
+def _offset(
+    p: wp.array(dtype=wp.vec3),
+    n: wp.array(dtype=wp.vec3),
+    d: wp.array(dtype=wp.vec3),
+    t: wp.array(dtype=float),
+    out: wp.array(dtype=wp.vec3),
+):
+    i = wp.tid()
+    out[i] = nm.offset_origin(p[i], n[i], d[i], t[i])
+
+
+@wp.kernel(enable_backward=False)
+def _basis(n: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.mat33), back: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    m = nm.orthonormal_basis(n[i])
+    out[i] = m
+    v = wp.vec3(0.25, -0.5, 0.125)
+    back[i] = nm.to_local(m, nm.to_world(m, v)) - v
+
+
+@wp.kernel(enable_backward=False)
+def _weights(
+    na: wp.array(dtype=float),
+    a: wp.array(dtype=float),
+    nb: wp.array(dtype=float),
+    b: wp.array(dtype=float),
+    out: wp.array2d(dtype=float),
+):
+    i = wp.tid()
+    out[i, 0] = nm.balance_heuristic(a[i], b[i])
+    out[i, 1] = nm.power_heuristic(a[i], b[i])
+    out[i, 2] = nm.balance_heuristic_counts(na[i], a[i], nb[i], b[i])
+    # As printed, in float32.
+    out[i, 3] = a[i] / (a[i] + b[i])
+    out[i, 4] = a[i] * a[i] / (a[i] * a[i] + b[i] * b[i])
+
+
+@wp.kernel(enable_backward=False)
+def _angles(y: wp.array(dtype=float), x: wp.array(dtype=float), out: wp.array(dtype=float)):
+    i = wp.tid()
+    out[i] = nm.arctangent2(y[i], x[i])
+
+
+@wp.kernel(enable_backward=False)
+def _scalars(a: wp.array(dtype=wp.vec3), out: wp.array2d(dtype=float)):
+    i = wp.tid()
+    out[i, 0] = nm.luminance(a[i])
+    out[i, 1] = nm.max_component(a[i])
+
+
+def run(kernel, inputs, shape, dtype):
+    out = wp.zeros(shape, dtype=dtype, device="cpu")
+    arrays = []
+    for values in inputs:
+        values = np.ascontiguousarray(values, dtype=np.float32)
+        arrays.append(wp.array(values, dtype=wp.vec3 if values.ndim == 2 else wp.float32, device="cpu"))
+    wp.launch(kernel, len(inputs[0]), inputs=arrays, outputs=[out], device="cpu")
+    return out.numpy()
+
+
+def directions(count, rng):
+    d = rng.normal(size=(count, 3))
+    return (d / np.linalg.norm(d, axis=1)[:, None]).astype(np.float32)
+
+
+def surface_starts(rng, scale, offset, count=20000):
+    """Points found in float32 by rays of length about `scale` on random planes, as an engine finds them.
+
+    Gives p, ng, d (leaving either side), t, and the exact plane: a point on it and its unit normal.
+    """
+    normal = directions(count, rng)
+    origin = (rng.normal(size=(count, 3)) * scale + offset).astype(np.float32)
+    d_in = directions(count, rng)
+    facing = np.einsum("ij,ij->i", normal, d_in)
+    t = (rng.uniform(0.1, 2.0, count) * scale).astype(np.float32)
+    exact = origin.astype(np.float64) + t[:, None].astype(np.float64) * d_in
+    # p is what float32 makes of it, the plane passes through the exact point.
+    p = origin + t[:, None] * d_in
+    d = directions(count, rng)
+    keep = np.abs(facing) > 0.05
+    return p[keep], normal[keep], d[keep], t[keep], exact[keep]
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e-2, 1.0, 1e2, 1e4])
+@pytest.mark.parametrize("offset", [0.0, 1.0, 1e3, 1e6])
+def test_offset_leaves_the_surface_on_the_side_of_the_ray(scale, offset):
+    """GEO-01: exact side of the exact plane in float64. A bare 1e-4 fails at both ends (TRAP-1k)."""
+    rng = np.random.default_rng(1)
+    p, n, d, t, exact = surface_starts(rng, scale, offset)
+    start = run(_offset, [p, n, d, t], len(p), wp.vec3).astype(np.float64)
+    side = np.sign(np.einsum("ij,ij->i", n.astype(np.float64), d.astype(np.float64)))
+    height = np.einsum("ij,ij->i", start - exact, n.astype(np.float64)) * side
+    assert (height > 0.0).all()
+    reach = np.maximum(np.abs(p).max(axis=1), t)
+    assert (height < 32.0 * np.spacing(reach)).all(), "a step of few units in the last place"
+
+
+def test_a_bare_offset_fails_where_ours_holds():
+    rng = np.random.default_rng(2)
+    p, n, d, _t, exact = surface_starts(rng, 1.0, 1e3)
+    side = np.sign(np.einsum("ij,ij->i", n, d)).astype(np.float32)
+    bare = p + np.float32(1e-5) * side[:, None] * n
+    height = np.einsum("ij,ij->i", bare.astype(np.float64) - exact, n.astype(np.float64)) * side
+    assert (height <= 0.0).mean() > 0.1
+
+
+@pytest.mark.parametrize("power", [-20, -3, 1, 17])
+def test_offset_scales_with_powers_of_two_to_the_bit(power):
+    rng = np.random.default_rng(3)
+    p, n, d, t, _ = surface_starts(rng, 1.0, 0.5)
+    factor = np.float32(2.0**power)
+    once = run(_offset, [p, n, d, t], len(p), wp.vec3)
+    scaled = run(_offset, [p * factor, n, d, t * factor], len(p), wp.vec3)
+    assert np.array_equal(scaled, once * factor)
+
+
+def test_basis_is_a_rotation_with_n_as_third_column():
+    rng = np.random.default_rng(4)
+    n = directions(20000, rng)
+    poles = np.array([[0, 0, 1], [0, 0, -1], [1e-9, 0, -1], [0, -1e-6, -1], [0, 0, -1 + 1e-7]])
+    n = np.concatenate([n, (poles / np.linalg.norm(poles, axis=1)[:, None]).astype(np.float32)])
+    out = wp.zeros(len(n), dtype=wp.mat33, device="cpu")
+    back = wp.zeros(len(n), dtype=wp.vec3, device="cpu")
+    wp.launch(_basis, len(n), inputs=[wp.array(n, dtype=wp.vec3, device="cpu"), out, back], device="cpu")
+    m = out.numpy().astype(np.float64)
+    assert np.array_equal(out.numpy()[:, :, 2], n)
+    assert np.abs(np.swapaxes(m, 1, 2) @ m - np.eye(3)).max() < 1e-6
+    assert np.abs(np.linalg.det(m) - 1.0).max() < 1e-6
+    assert np.abs(back.numpy()).max() < 1e-6
+
+
+def test_weights_sum_to_one_over_the_whole_range():
+    """MIS-01: 1e6 pairs with densities 0..1e38 and inf, counts 0..1e3; sum is 1 within 4 units."""
+    rng = np.random.default_rng(5)
+    count = 1_000_000
+    a, b = (10.0 ** rng.uniform(-38, 38, (2, count))).astype(np.float32)
+    na, nb = rng.integers(0, 1000, (2, count)).astype(np.float32)
+    for values in (a, b):
+        values[rng.random(count) < 0.02] = np.inf
+        values[rng.random(count) < 0.02] = 0.0
+    near = rng.random(count) < 0.5
+    b[near] = a[near] * rng.uniform(0.5, 2.0, near.sum()).astype(np.float32)
+    b[np.isnan(b)] = 0.0
+    forth = run(_weights, [na, a, nb, b], (count, 5), float)
+    back = run(_weights, [nb, b, na, a], (count, 5), float)
+    ulp = np.spacing(np.float32(1.0))
+    some = (a > 0) | (b > 0)
+    for column in (0, 1):
+        w = forth[:, column] + back[:, column]
+        assert np.isfinite(forth[:, column]).all()
+        assert np.abs(w[some] - 1.0).max() <= 4 * ulp
+        assert (w[~some] == 0.0).all()
+    some = ((a > 0) & (na > 0)) | ((b > 0) & (nb > 0))
+    w = forth[:, 2] + back[:, 2]
+    assert np.abs(w[some] - 1.0).max() <= 4 * ulp
+    assert (w[~some] == 0.0).all()
+    # The printed forms: 0/0, inf/inf and overflow.
+    assert np.isnan(forth[:, 3]).any()
+    assert np.isnan(forth[:, 4]).mean() > 0.1
+
+
+def test_weights_equal_float64():
+    """MIS-04 too: the power heuristic at 1e20, where p^2 leaves float32."""
+    rng = np.random.default_rng(6)
+    a, b = (10.0 ** rng.uniform(15, 25, (2, 100000))).astype(np.float32)
+    na, nb = rng.integers(1, 1000, (2, a.size)).astype(np.float32)
+    got = run(_weights, [na, a, nb, b], (a.size, 5), float).astype(np.float64)
+    A, B, NA, NB = (v.astype(np.float64) for v in (a, b, na, nb))
+    tiny = np.finfo(np.float32).tiny
+    assert np.allclose(got[:, 0], A / (A + B), rtol=1e-6, atol=tiny)
+    assert np.allclose(got[:, 1], 1.0 / (1.0 + (B / A) ** 2), rtol=1e-6, atol=tiny)
+    assert np.allclose(got[:, 2], NA * A / (NA * A + NB * B), rtol=1e-6, atol=tiny)
+    assert np.isnan(got[:, 4]).any()
+
+
+def test_special_weights():
+    """MIS-03 and deltas: 0 against 0 is 0, a delta against a density 1, none drawn 0."""
+    inf = np.inf
+    na = np.array([1, 1, 1, 1, 0, 1])
+    a = np.array([0, inf, 1, inf, inf, 1])
+    nb = np.array([1, 1, 1, 1, 1, 0])
+    b = np.array([0, 1, inf, inf, 1, inf])
+    got = run(_weights, [na, a, nb, b], (6, 5), float)
+    assert got[:4, 0].tolist() == [0.0, 1.0, 0.0, 0.5]
+    assert got[:4, 1].tolist() == [0.0, 1.0, 0.0, 0.5]
+    assert got[:, 2].tolist() == [0.0, 1.0, 0.0, 0.5, 0.0, 1.0]
+
+
+def test_arctangent_equals_numpy():
+    rng = np.random.default_rng(7)
+    x, y = rng.normal(size=(2, 200000)).astype(np.float32)
+    x, y = (np.concatenate([v, v * np.float32(1e-30), v * np.float32(1e30)]) for v in (x, y))
+    y[:1000] *= np.float32(1e-12)
+    got = run(_angles, [y, x], y.size, float).astype(np.float64)
+    assert np.abs(got - np.arctan2(y.astype(np.float64), x.astype(np.float64))).max() < 3e-7
+    small = np.abs(y[:1000] / x[:1000]) < 1e-3
+    front = small & (x[:1000] > 0)
+    exact = np.arctan2(y[:1000].astype(np.float64), x[:1000].astype(np.float64))
+    assert np.allclose(got[:1000][front], exact[front], rtol=3e-7, atol=0.0), "small angles keep their digits"
+    axes = run(_angles, [np.array([0, 0, 1, -1, 0]), np.array([0, 1, 0, 0, -1])], 5, float)
+    assert np.allclose(axes, [0, 0, np.pi / 2, -np.pi / 2, np.pi], rtol=1e-7, atol=0)
+
+
+def test_luminance_and_max_component():
+    a = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [-3, -2, -4]])
+    got = run(_scalars, [a], (5, 2), float)
+    assert np.allclose(got[:4, 0], [0.2126, 0.7152, 0.0722, 1.0], rtol=1e-6)
+    assert got[:, 1].tolist() == [1, 1, 1, 1, -2]
