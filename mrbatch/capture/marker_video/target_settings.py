@@ -120,10 +120,7 @@ class BoardSettings(Settings):
     def marker_count(self) -> int:
         """How many markers the board carries."""
         columns, rows = self.squares
-        if self.type == "grid":
-            return columns * rows
-        starts_white = self.legacy and rows % 2 == 0
-        return (columns * rows + (1 if starts_white else 0)) // 2
+        return columns * rows if self.type == "grid" else columns * rows // 2
 
     @model_validator(mode="after")
     def _fits(self):
