@@ -1,0 +1,179 @@
+"""The journal: what was finished, one line of JSON a frame, flushed before the next frame begins.
+
+Every process writes a file of its own, `journal/<host>-<pid>-<random>.jsonl`, so that processes on a
+shared folder never interleave; a reader merges them. A line that a power cut tore is passed over and
+counted. Times, hosts and seconds stand here and never in a frame file, whose bytes depend on job,
+seed and input alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mrbatch.batch.commit import as_resource_error, flush_folder
+from mrbatch.batch.presence import Owner
+
+FOLDER = "journal"
+
+
+@dataclass(frozen=True)
+class FrameEntry:
+    """A committed frame.
+
+    `file`: relative to the output folder, with forward slashes. `file_hash` of its bytes;
+    `content_hash` as the verifier gave it; `size` in bytes; `seconds` of rendering; `counters` of
+    work; `details`: JSON-ready, from the renderer; `history_hash`: of `history/<frame>.npz`, empty
+    without history; `held_from`: the frame whose picture stands in for this one, with `error`, why.
+    `time`: UTC seconds of the writing machine, to read, never to compare.
+    """
+
+    job_hash: str
+    frame: int
+    file: str
+    file_hash: str
+    content_hash: str
+    size: int
+    seconds: float
+    counters: Mapping[str, int] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
+    history_hash: str = ""
+    held_from: int | None = None
+    error: str = ""
+    host: str = ""
+    pid: int = 0
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
+class FailureEntry:
+    """A frame that could not be rendered from its input."""
+
+    job_hash: str
+    frame: int
+    error: str
+    host: str = ""
+    pid: int = 0
+    time: float = 0.0
+
+
+class JournalWriter:
+    """Appends to this process's own file; each line is on the disk when `append` returns."""
+
+    def __init__(self, directory: Path, owner: Owner):
+        self.path = directory / FOLDER / f"{owner.name}.jsonl"
+        self.owner = owner
+        self._file: Any = None
+        self._size = 0
+
+    def append(self, entry: FrameEntry | FailureEntry) -> None:
+        """Add one line. Raises ResourceError; the file then ends where it ended before."""
+        record = asdict(entry) | {"host": self.owner.host, "pid": self.owner.pid, "time": time.time()}
+        kind = "frame" if isinstance(entry, FrameEntry) else "failed"
+        line = json.dumps({"kind": kind} | record, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        try:
+            if self._file is None:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                # Unbuffered: a line is never kept back, and a failed write leaves nothing to flush later.
+                self._file = self.path.open("xb", buffering=0)
+                flush_folder(self.path.parent)
+            written = 0
+            while written < len(line):
+                written += self._file.write(line[written:])
+            os.fsync(self._file.fileno())
+            self._size += len(line)
+        except OSError as error:
+            if self._file is not None:
+                with contextlib.suppress(OSError):
+                    self._file.truncate(self._size)
+                    self._file.seek(self._size)
+            raise as_resource_error(error, self.path) from error
+
+    def close(self) -> None:
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+            self._file = None
+
+
+class JournalReader:
+    """All journal files of a directory, merged. `refresh` reads only what was added since.
+
+    `frames[n]`: entries of frame n, those of one file in their order. `failures[n]`: the same of
+    failures. `torn`: lines that could not be read, by file name.
+    """
+
+    def __init__(self, directory: Path):
+        self.folder = directory / FOLDER
+        self.frames: dict[int, list[FrameEntry]] = {}
+        self.failures: dict[int, list[FailureEntry]] = {}
+        self.torn: dict[str, int] = {}
+        self._offsets: dict[str, int] = {}
+        self._torn_tails: dict[str, bytes] = {}
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Take in what was appended meanwhile. Raises ResourceError."""
+        try:
+            paths = sorted(self.folder.glob("*.jsonl"))
+            for path in paths:
+                offset = self._offsets.get(path.name, 0)
+                with path.open("rb") as file:
+                    file.seek(offset)
+                    data = file.read()
+                end = data.rfind(b"\n") + 1
+                self._offsets[path.name] = offset + end
+                self._torn_tails[path.name] = data[end:]
+                for line in data[:end].splitlines():
+                    self._take(path.name, line)
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise as_resource_error(error, self.folder) from error
+
+    def torn_lines(self, is_alive: Callable[[str], bool] = lambda owner: False) -> int:
+        """Lines that could not be read, an unfinished last one included unless its writer is alive."""
+        tails = [Path(name).stem for name, tail in self._torn_tails.items() if tail.strip(b"\0 ")]
+        return sum(self.torn.values()) + sum(1 for owner in tails if not is_alive(owner))
+
+    def matching(self, frame: int, job_hash: str) -> list[FrameEntry]:
+        """Entries of `frame` under `job_hash`, the latest of each file last."""
+        return [entry for entry in self.frames.get(frame, ()) if entry.job_hash == job_hash]
+
+    def _take(self, name: str, line: bytes) -> None:
+        if not line.strip():
+            return
+        try:
+            record = json.loads(line)
+            kind = record.pop("kind")
+            if kind == "frame":
+                entry = _frame_entry(record)
+                self.frames.setdefault(entry.frame, []).append(entry)
+            elif kind == "failed":
+                failure = FailureEntry(**_only(FailureEntry, record))
+                self.failures.setdefault(failure.frame, []).append(failure)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            self.torn[name] = self.torn.get(name, 0) + 1
+
+
+def _frame_entry(record: dict[str, Any]) -> FrameEntry:
+    """Raises TypeError where a field is missing or of another type: the line then counts as torn."""
+    entry = FrameEntry(**_only(FrameEntry, record))
+    texts = (entry.job_hash, entry.file, entry.file_hash, entry.history_hash)
+    if type(entry.frame) is not int or not all(isinstance(text, str) for text in texts):
+        raise TypeError("not a frame entry")
+    if not isinstance(entry.counters, dict) or not isinstance(entry.details, dict):
+        raise TypeError("not a frame entry")
+    return entry
+
+
+def _only(kind: type, record: dict[str, Any]) -> dict[str, Any]:
+    """The fields that this version knows; a newer version may write more."""
+    known = kind.__dataclass_fields__  # type: ignore[attr-defined]
+    return {name: value for name, value in record.items() if name in known}

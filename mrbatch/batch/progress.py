@@ -1,0 +1,181 @@
+"""Progress for people and programs: a bar on a terminal, plain lines in a log, JSON lines on request."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from datetime import timedelta
+from typing import IO, Literal
+
+from mrbatch.batch import events as tell
+
+Mode = Literal["auto", "bar", "plain", "json", "none"]
+
+
+@contextlib.contextmanager
+def progress(
+    mode: Mode = "auto", stream: IO[str] | None = None, *, clock: Callable[[], float] = time.monotonic
+) -> Iterator[tell.EventSink]:
+    """A sink that shows events on `stream` (standard error by default). Use as a context manager.
+
+    `auto`: a bar where the stream is a terminal, else plain lines. `json`: one object a line, keys
+    `event` and what the event carries. Writing happens on a thread of its own: a reader that stops
+    reading, or goes away, holds up nothing.
+    """
+    out = stream if stream is not None else sys.stderr
+    if mode == "auto":
+        mode = "bar" if _is_terminal(out) else "plain"
+    if mode == "none":
+        yield tell.ignore
+    elif mode == "bar":
+        with _bar(out) as sink, tell.Background(sink) as background:
+            yield background
+    else:
+        lines: tell.EventSink = JsonLines(out) if mode == "json" else PlainLines(out, clock)
+        with tell.Background(lines) as background:
+            yield background
+
+
+class JsonLines:
+    """One JSON object a line, flushed."""
+
+    def __init__(self, stream: IO[str]):
+        self._stream = stream
+
+    def __call__(self, event: tell.Event) -> None:
+        self._stream.write(json.dumps(event.record(), separators=(",", ":"), default=str) + "\n")
+        self._stream.flush()
+
+
+class PlainLines:
+    """A line for what a person looks for in a log; kept frames and remaining time are not repeated
+    more than every `QUIET` seconds."""
+
+    QUIET = 10.0
+
+    def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic):
+        self._stream = stream
+        self._clock = clock
+        self._total = 0
+        self._done = 0
+        self._told = float("-inf")
+
+    def __call__(self, event: tell.Event) -> None:
+        match event:
+            case tell.Started():
+                self._total = event.frames
+                self._line(f"{event.job}: {event.frames} frames to `{event.directory}`")
+                if event.found:
+                    self._line(event.found)
+            case tell.FrameKept():
+                self._done += 1
+            case tell.FrameDone():
+                self._done += 1
+                self._line(f"frame {event.frame} done in {event.seconds:.2f} s ({self._done}/{self._total})")
+            case tell.Prediction():
+                now = self._clock()
+                if now - self._told >= self.QUIET:
+                    self._told = now
+                    self._line(prediction_text(event))
+            case _:
+                text = event_text(event)
+                if text:
+                    self._line(text)
+
+    def _line(self, text: str) -> None:
+        self._stream.write(text + "\n")
+        self._stream.flush()
+
+
+def event_text(event: tell.Event) -> str:
+    """Words for the rarer events; empty for those that need none."""
+    match event:
+        case tell.Note():
+            return (f"frame {event.frame}: " if event.frame is not None else "") + event.message
+        case tell.FrameFailed():
+            if event.held_from is not None:
+                return f"frame {event.frame}: shows frame {event.held_from} instead"
+            return f"frame {event.frame} failed: {event.message}"
+        case tell.Waiting():
+            frames = "frame is" if event.frames == 1 else "frames are"
+            return f"waiting: {event.frames} {frames} with {event.holder or 'other processes'}"
+        case tell.Done():
+            parts = [f"{event.rendered} rendered", f"{event.kept} kept", f"{event.failed} failed"]
+            parts = [part for part in parts if not part.startswith("0 ")] or ["nothing to do"]
+            text = f"{', '.join(parts)} in {event.seconds:.1f} s"
+            if event.predicted is not None and event.rendered:
+                text += f" (predicted {event.predicted:.1f} s)"
+            return text
+    return ""
+
+
+def prediction_text(event: tell.Prediction) -> str:
+    return f"about {duration_text(event.seconds_left)} left (from {event.basis})"
+
+
+def duration_text(seconds: float) -> str:
+    """`0:01:05`; under ten seconds with one digit, `3.2 s`."""
+    if seconds < 10.0:
+        return f"{max(0.0, seconds):.1f} s"
+    return str(timedelta(seconds=round(seconds)))
+
+
+@contextlib.contextmanager
+def _bar(stream: IO[str]) -> Iterator[tell.EventSink]:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(file=stream)
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+        console=console,
+        # The terminal belongs to the person; the output of other libraries is not captured.
+        redirect_stdout=False,
+        redirect_stderr=False,
+    )
+    task = bar.add_task("starting", total=None, left="")
+    done = 0.0
+
+    def sink(event: tell.Event) -> None:
+        nonlocal done
+        match event:
+            case tell.Started():
+                bar.update(task, total=event.frames, description=escape(event.job))
+                if event.found:
+                    console.print(escape(event.found))
+            case tell.FrameStarted():
+                bar.update(task, description=f"frame {event.frame}")
+            case tell.FrameProgress():
+                bar.update(task, completed=done + min(max(event.fraction, 0.0), 1.0))
+            case tell.FrameDone() | tell.FrameKept():
+                done += 1
+                bar.update(task, completed=done)
+            case tell.Prediction():
+                bar.update(task, left=prediction_text(event))
+            case _:
+                if isinstance(event, tell.FrameFailed) and event.held_from is None:
+                    done += 1
+                    bar.update(task, completed=done)
+                if isinstance(event, tell.Done):
+                    bar.update(task, description="done" if event.exit_code == 0 else "ended", left="")
+                text = event_text(event)
+                if text:
+                    console.print(escape(text))
+
+    with bar:
+        yield sink
+
+
+def _is_terminal(stream: IO[str]) -> bool:
+    try:
+        return stream.isatty()
+    except (AttributeError, ValueError):
+        return False
