@@ -19,6 +19,12 @@ MAX_TRIANGLES = 2**31 // 3 - 1
 """Indices of a mesh are int32, and 3 m of them are addressed."""
 MAX_FILE_BYTES = 8 * 2**30
 _SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
+# PLY: else trimesh splits and rounds the coordinates of vertices that have their own. OBJ: its
+# `maintain_order` is not given, because it averages over seams and loses the normals.
+_READER_OPTIONS: dict[str, dict[str, bool]] = {
+    ".ply": {"fix_texture": False},
+    ".obj": {"skip_materials": True},
+}
 
 
 @dataclass(frozen=True)
@@ -153,7 +159,9 @@ def load_mesh(path: str | Path) -> Mesh:
     """A mesh from PLY, OBJ, STL, GLB or GLTF; a scene's meshes are placed by its nodes and joined.
 
     The file's own vertex normals and texture coordinates are kept, its vertices are neither merged nor
-    reordered (OBJ: one for each used combination of position, texture coordinate and normal). Triangles
+    reordered (OBJ: one for each used combination of position, texture coordinate and normal; STL: three
+    a triangle). Polygons are cut into triangles. Texture coordinates of a glTF primitive without
+    material, and those that a PLY file gives for faces, are not read. Triangles
     that are not finite, have repeated corners or no area are left out and counted in `dropped`.
     Raises InputError for a missing, unreadable or truncated file, one without triangles, or one whose
     indices point nowhere; ResourceError for one that is too large.
@@ -202,9 +210,7 @@ def _read(path: Path, suffix: str, place: Place) -> list[tuple[Any, np.ndarray]]
     import trimesh
 
     try:
-        scene = trimesh.load_scene(
-            str(path), process=False, maintain_order=True, skip_materials=suffix == ".obj"
-        )
+        scene = trimesh.load_scene(str(path), process=False, **_READER_OPTIONS.get(suffix, {}))
     except (MemoryError, KeyboardInterrupt):
         raise
     except Exception as error:  # a parser that meets broken bytes may raise anything
