@@ -1,0 +1,56 @@
+"""The report as Markdown, for a pull request or a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from mrbatch.metrics.errors import METRICS
+from mrbatch.report import numbers
+from mrbatch.report.html import SIMULATED, timing_rows
+from mrbatch.report.model import Report, write_text
+
+MAX_FRAMES = 200
+
+
+def render_markdown(report: Report) -> str:
+    """The text. Whatever came from outside is escaped: it can neither add markup nor break a table."""
+    environment = Environment(
+        loader=PackageLoader("mrbatch.report"),
+        autoescape=False,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "md": escape,
+        "number": numbers.number,
+        "count": numbers.count,
+        "seconds": numbers.seconds,
+        "quantity": lambda value: escape(numbers.quantity(value)),
+    }
+    text = environment.get_template("report.md.j2").render(
+        report=report,
+        effects=sorted(report.plan.effects, key=lambda e: (e.state not in SIMULATED, e.name)),
+        timing=timing_rows(report.timing),
+        max_frames=MAX_FRAMES,
+        titles={name: info.title for name, info in METRICS.items()},
+        scores=[(f.number, s) for f in report.frames[:MAX_FRAMES] for s in f.scores],
+    )
+    return text.rstrip() + "\n"
+
+
+def write_markdown(report: Report, path: Path) -> None:
+    """Write the text in one step. Raises ResourceError where it cannot be written."""
+    write_text(Path(path), render_markdown(report))
+
+
+def escape(text: object) -> str:
+    """One line of plain text inside Markdown: markup characters lose their meaning."""
+    line = " ".join(str(text).split())
+    line = line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    for character in "\\`*_{}[]|#!~":
+        line = line.replace(character, "\\" + character)
+    # A colon that is no link's: renderers make links of bare addresses.
+    return line.replace("://", ":&#8203;//")
