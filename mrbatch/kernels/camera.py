@@ -112,7 +112,7 @@ def camera_data(camera: Any, origin: np.ndarray) -> CameraData:
     if camera.model not in _MODELS:
         raise ValueError(f"unknown camera model `{camera.model}`")
     pose = np.asarray(camera.world_from_camera, dtype=np.float64)
-    data = CameraData()
+    data: Any = CameraData()
     data.model = _MODELS[camera.model]
     data.width = int(camera.width)
     data.height = int(camera.height)
