@@ -21,7 +21,7 @@ MAX_FILE_BYTES = 8 * 2**30
 _SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 # PLY: else trimesh splits and rounds the coordinates of vertices that have their own. OBJ: its
 # `maintain_order` is not given, because it averages over seams and loses the normals.
-_READER_OPTIONS: dict[str, dict[str, bool]] = {
+_READER_OPTIONS: dict[str, dict[str, Any]] = {
     ".ply": {"fix_texture": False},
     ".obj": {"skip_materials": True},
 }
@@ -276,7 +276,7 @@ def plane(size_x: float, size_y: float, *, centre: Sequence[float] = (0.0, 0.0, 
     corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]]) + np.asarray(centre, float)
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     uvs = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32)
-    return Mesh(corners, faces, np.tile(np.float32([0, 0, 1]), (4, 1)), uvs)
+    return Mesh(corners, faces, np.tile(np.array([0, 0, 1], dtype=np.float32), (4, 1)), uvs)
 
 
 def box(size: Sequence[float], *, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> Mesh:
