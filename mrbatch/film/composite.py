@@ -22,15 +22,14 @@ class Contribution:
     """What one method or participant gives for one view.
 
     `P` (h, w, 3): virtual radiance, premultiplied. `a` (h, w): coverage, 0..1. `D` (h, w, 3): light
-    change on what is real, signed. `blocked`, `indirect` (h, w, 3) or None: the two parts of D, direct
-    light taken away (negative) and light that comes or stays away over other surfaces (signed).
+    change on what is real, signed. `D_indirect` (h, w, 3) or None: the part of D that comes or stays
+    away over other surfaces, signed; the rest is direct light taken away.
     """
 
     P: np.ndarray
     a: np.ndarray
     D: np.ndarray
-    blocked: np.ndarray | None = None
-    indirect: np.ndarray | None = None
+    D_indirect: np.ndarray | None = None
 
 
 def composite(P: np.ndarray, a: np.ndarray, B: np.ndarray, D: np.ndarray) -> np.ndarray:
@@ -46,14 +45,13 @@ def composite(P: np.ndarray, a: np.ndarray, B: np.ndarray, D: np.ndarray) -> np.
 
 
 def over(front: Contribution, back: Contribution) -> Contribution:
-    """A participant laid over what is behind it: P = Pf + (1 - af) Pb, and so for a, D and D's parts."""
+    """A participant laid over what is behind it: P = Pf + (1 - af) Pb, and so for a, D and its part."""
     rest = 1 - front.a
     return Contribution(
         P=front.P + rest[..., None] * back.P,
         a=front.a + rest * back.a,
         D=front.D + rest[..., None] * back.D,
-        blocked=_over(front.blocked, back.blocked, rest),
-        indirect=_over(front.indirect, back.indirect, rest),
+        D_indirect=_over(front.D_indirect, back.D_indirect, rest),
     )
 
 
@@ -71,10 +69,13 @@ def behind_matte(contribution: Contribution, matte: np.ndarray | None) -> Contri
     if matte is None:
         return contribution
     rest = 1 - np.asarray(matte, dtype=contribution.P.dtype)
-    parts = (contribution.P, contribution.D, contribution.blocked, contribution.indirect)
-    p, d, blocked, indirect = (None if x is None else x * rest[..., None] for x in parts)
-    assert p is not None and d is not None
-    return Contribution(P=p, a=contribution.a * rest, D=d, blocked=blocked, indirect=indirect)
+    part = contribution.D_indirect
+    return Contribution(
+        P=contribution.P * rest[..., None],
+        a=contribution.a * rest,
+        D=contribution.D * rest[..., None],
+        D_indirect=None if part is None else part * rest[..., None],
+    )
 
 
 def shadow_matte(a: np.ndarray, B: np.ndarray, blocked: np.ndarray) -> np.ndarray:

@@ -49,13 +49,12 @@ def test_laying_over_is_associative_and_equals_two_composites():
     layers = []
     for seed in (2, 3, 4):
         P, a, _, D = random_parts(seed)
-        layers.append(Contribution(P, a, D, blocked=np.minimum(D, 0), indirect=np.maximum(D, 0)))
+        layers.append(Contribution(P, a, D, D_indirect=np.maximum(D, 0)))
     front, middle, back = layers
     left = over(over(front, middle), back)
     right = over(front, over(middle, back))
-    for name in ("P", "a", "D", "blocked", "indirect"):
+    for name in ("P", "a", "D", "D_indirect"):
         np.testing.assert_allclose(getattr(left, name), getattr(right, name), rtol=1e-13, atol=1e-15)
-    np.testing.assert_allclose(left.blocked + left.indirect, left.D, rtol=1e-13, atol=1e-15)
     # Without the cut at zero, one composite after the other is the same as all at once.
     step = B
     for c in (back, middle, front):
@@ -66,10 +65,11 @@ def test_laying_over_is_associative_and_equals_two_composites():
 def test_parts_of_delta_may_be_absent():
     P, a, _, D = random_parts(5)
     plain = Contribution(P, a, D)
-    split = Contribution(P, a, D, blocked=D, indirect=0 * D)
-    assert over(plain, plain).blocked is None
-    np.testing.assert_allclose(over(plain, split).blocked, (1 - a)[..., None] * D)
-    assert np.array_equal(over(split, plain).blocked, D)
+    split = Contribution(P, a, D, D_indirect=D)
+    assert over(plain, plain).D_indirect is None and behind_matte(plain, a).D_indirect is None
+    np.testing.assert_allclose(over(plain, split).D_indirect, (1 - a)[..., None] * D)
+    assert np.array_equal(over(split, plain).D_indirect, D)
+    np.testing.assert_allclose(behind_matte(split, a).D_indirect, behind_matte(split, a).D)
 
 
 def test_matte_cuts_all_three():

@@ -38,7 +38,7 @@ def test_channel_names_follow_the_contract():
 def test_what_is_off_needs_nothing():
     assert layers.needs([]) == {"P", "a", "B", "D"}
     assert layers.needs(["depth"]) == {"P", "a", "B", "D", "depth"}
-    assert "blocked" in layers.needs(["shadow"]) and "blocked" not in layers.needs(None)
+    assert "D_indirect" in layers.needs(["shadow"]) and "D_indirect" not in layers.needs(None)
     assert "object_ids" not in layers.needs(["crypto_material"])
 
 
