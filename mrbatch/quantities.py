@@ -84,12 +84,12 @@ def _to_float(value: Any) -> Any:
     return value
 
 
-Number = Annotated[float, BeforeValidator(_to_float), Field(allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False), BeforeValidator(_to_float)]
 """A finite number without unit; whole numbers are taken too."""
 Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_to_tuple)]
 Position = Annotated[tuple[Length, Length, Length], BeforeValidator(_to_tuple)]
 Rotation = Annotated[tuple[Angle, Angle, Angle], BeforeValidator(_to_tuple)]
-Reflectance = Annotated[float, BeforeValidator(_to_float), Field(ge=0.0, le=1.0, allow_inf_nan=False)]
+Reflectance = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False), BeforeValidator(_to_float)]
 
 
 def _to_colour(value: Any) -> Any:
@@ -110,7 +110,7 @@ Albedo = Annotated[
     _colour_schema({"minimum": 0.0, "maximum": 1.0}),
 ]
 """Linear Rec.709 reflectance in 0..1; one number stands for grey."""
-Positive = Annotated[float, BeforeValidator(_to_float), Field(ge=0.0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=0.0, allow_inf_nan=False), BeforeValidator(_to_float)]
 Colour = Annotated[
     tuple[Positive, Positive, Positive], BeforeValidator(_to_colour), _colour_schema({"minimum": 0.0})
 ]

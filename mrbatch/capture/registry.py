@@ -30,7 +30,7 @@ class Registry(Generic[T]):
     def get(self, name: str) -> T:
         """What `name` stands for. Raises JobError, with the nearest name, where there is none."""
         if name not in self._entries:
-            near = difflib.get_close_matches(str(name), self._entries, n=1, cutoff=0.7)
+            near = difflib.get_close_matches(str(name), self._entries, n=1, cutoff=0.65)
             known = ", ".join(self._entries) or "none"
             raise JobError(
                 f"unknown {self.what} `{name}`",

@@ -36,7 +36,7 @@ _EXPECTED = {
     "none_required": "nothing (null)",
 }
 _WORDS = ("literal_error", "enum")
-NEAR = 0.7
+NEAR = 0.65
 """Least likeness (of `difflib`, 0..1) at which a word is offered for another."""
 
 
@@ -72,13 +72,7 @@ class _Finding:
         at = data
         last = len(error["loc"]) - 1
         for i, part in enumerate(error["loc"]):
-            if (
-                isinstance(at, dict)
-                and part in at
-                or isinstance(at, list)
-                and isinstance(part, int)
-                and part < len(at)
-            ):
+            if isinstance(at, (dict, list)) and _holds(at, part):
                 at = at[part]
             elif i == last and self.type == "missing":
                 at = None
@@ -88,17 +82,30 @@ class _Finding:
                 continue
             parts.append(part)
         self.loc: Loc = tuple(parts)
+        if self.type == "missing" and isinstance(error["loc"][last], int):
+            self.type = "too_few"
+            self.context = {"needed": error["loc"][last] + 1}
+            self.loc = self.loc[:-1]
+            self.input = _at(data, self.loc)
 
 
 def _without_echoes(items: Sequence[_Finding], document: Document, model: type[BaseModel]) -> list[_Finding]:
     """Leaves out keys that are missing because they are misspelt: that is one mistake, not two."""
     meant = set()
+    needed: dict[Loc, int] = {}
     for item in items:
+        if item.type == "too_few":
+            needed[item.loc] = max(needed.get(item.loc, 0), item.context["needed"])
         if item.type == "extra_forbidden" and item.loc:
             fields = known_fields(model, item.loc[:-1], document.data)
             for near in difflib.get_close_matches(str(item.loc[-1]), fields, n=1, cutoff=NEAR):
                 meant.add((*item.loc[:-1], near))
-    return [item for item in items if not (item.type == "missing" and item.loc in meant)]
+    return [
+        item
+        for item in items
+        if not (item.type == "missing" and item.loc in meant)
+        and not (item.type == "too_few" and item.context["needed"] < needed[item.loc])
+    ]
 
 
 def _settle_unions(items: Sequence[_Finding]) -> list[_Finding]:
@@ -118,7 +125,8 @@ def _settle_unions(items: Sequence[_Finding]) -> list[_Finding]:
             if not any(f.loc == loc and (f.type in _EXPECTED or f.type in _WORDS) for f in found)
         }
         words = [c for found in branches.values() for f in found if f.type in _WORDS for c in _words(f)]
-        if near:
+        if near or len(branches) == 1:
+            near = near or branches
             meant = min(near.values(), key=len)
             for finding in meant:
                 if finding.loc == loc and finding.type == "value_error" and words:
@@ -217,8 +225,8 @@ def _plain(finding: _Finding) -> str:
         limit = context.get("min_length" if kind == "too_short" else "max_length")
         word = "at least" if kind == "too_short" else "at most"
         return f"expected {word} {limit} values, got {context.get('actual_length')}"
-    if kind == "missing":
-        return "a value is missing"
+    if kind == "too_few":
+        return f"expected {context['needed']} values, got {len(value or ())}"
     if kind in ("string_too_short", "string_too_long"):
         limit = context.get("min_length" if kind == "string_too_short" else "max_length")
         return f"expected {'at least' if kind == 'string_too_short' else 'at most'} {limit} characters"
@@ -298,6 +306,12 @@ def _models_at(model: type[BaseModel], loc: Loc, data: Any) -> list[type[BaseMod
         found = step
     models = [kind for kind in found if isinstance(kind, type) and issubclass(kind, BaseModel)]
     return [kind for kind in models if _fits(kind, data)] or models
+
+
+def _at(data: Any, loc: Loc) -> Any:
+    for part in loc:
+        data = data[part]
+    return data
 
 
 def _holds(data: Any, part: str | int) -> bool:

@@ -6,12 +6,13 @@ import string
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from mrbatch.capture.registry import CAPTURES
 from mrbatch.contracts import Method, Participant
 from mrbatch.errors import Place
+from mrbatch.film.layers import DEFAULT_LAYERS, LAYERS
 from mrbatch.job.choice import Choice, Loc, problem, problems
 from mrbatch.job.frames import ALL, FrameSelection
 from mrbatch.methods.registry import METHODS, PARTICIPANTS
@@ -20,14 +21,12 @@ from mrbatch.methods.registry import participant as find_participant
 from mrbatch.quantities import OutputPath, Settings
 from mrbatch.scene.settings import Environment, RealObject, VirtualObject
 
-FILM_LAYERS = ("background", "variance", "samples")
-"""Layers that the film writes itself, whatever the method."""
-USUAL_LAYERS = ("virtual", "background", "delta")
-"""What is written where a job names no layers: those of these that the method gives."""
+FILM_LAYERS = ("composite", "background", "variance", "samples")
+"""Layers that the film makes itself, whatever the method."""
 
-NOT_PIXELS = {"x-pixels": False}
+NOT_PIXELS: dict[str, Any] = {"x-pixels": False}
 """Marks a field that cannot change a pixel: it stays out of the job's hash."""
-OUTPUT_PATH = {"x-pixels": False, "x-path": "output"}
+OUTPUT_PATH: dict[str, Any] = {"x-pixels": False, "x-path": "output"}
 """Marks a path that is written, so it need not be there."""
 
 
@@ -43,6 +42,16 @@ def _to_ratio(value: Any) -> Any:
             return int(above) / int(below)
         raise ValueError("expected a number or a fraction, such as `1/4`")
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+_RATIO_SCHEMA = WithJsonSchema(
+    {
+        "anyOf": [
+            {"type": "number", "exclusiveMinimum": 0, "maximum": 4},
+            {"type": "string", "pattern": r"^\s*\d+\s*/\s*\d+\s*$"},
+        ]
+    }
+)
 
 
 class Preview(Settings):
@@ -64,10 +73,10 @@ class Output(Settings):
         description="File name of a frame: `{job}` the job's name, `{frame:04d}` the frame number",
         json_schema_extra=NOT_PIXELS,
     )
-    layers: Annotated[tuple[str, ...], BeforeValidator(_to_tuple)] | None = Field(
+    layers: Annotated[tuple[str, ...], BeforeValidator(_to_tuple), Field(min_length=1)] | None = Field(
         None,
-        description="Layers beside the composite, such as virtual, background, delta, depth; none: the usual "
-        "three, as far as the method gives them",
+        description="Layers of the files: composite, virtual, background, delta, shadow, depth, ...; none: "
+        f"{', '.join(DEFAULT_LAYERS)}, as far as the method gives them",
     )
     dtype: Literal["auto", "half", "float"] = Field(
         "auto", description="Number type of colour; `auto`: half for sources up to 10 bits, else float"
@@ -75,7 +84,7 @@ class Output(Settings):
     compression: Literal["none", "rle", "zips", "zip", "piz"] = Field(
         "zip", description="Compression of the EXR files, all lossless"
     )
-    scale: Annotated[float, BeforeValidator(_to_ratio), Field(gt=0.0, le=4.0)] = Field(
+    scale: Annotated[float, Field(gt=0.0, le=4.0), BeforeValidator(_to_ratio), _RATIO_SCHEMA] = Field(
         1.0, description="Output resolution over the capture's, above 0 to 4; a fraction `1/4` is fine"
     )
     crop: (
@@ -269,14 +278,15 @@ class Job(Settings):
         names = [name for name in _chosen(info, "method", "name") if name in METHODS.names()]
         if not names:
             return value
-        given = tuple(dict.fromkeys((*find_method(names[0]).layers, *FILM_LAYERS)))
+        given = tuple(dict.fromkeys((*FILM_LAYERS, *find_method(names[0]).layers)))
         if value.layers is None:
-            usual = tuple(layer for layer in USUAL_LAYERS if layer in given)
+            usual = tuple(layer for layer in DEFAULT_LAYERS if layer in given)
             return value.model_copy(update={"layers": usual})
         found: list[tuple[Loc, PydanticCustomError, Any]] = []
         for index, layer in enumerate(value.layers):
             if layer not in given:
-                error = problem(f"the method `{names[0]}` gives no layer `{layer[:60]}`", choices=given)
+                why = f"the method `{names[0]}` gives no layer" if layer in LAYERS else "unknown layer"
+                error = problem(f"{why} `{layer[:60]}`", choices=given)
                 found.append((("layers", index), error, layer))
             elif layer in value.layers[:index]:
                 found.append((("layers", index), problem(f"the layer `{layer}` is named twice"), layer))

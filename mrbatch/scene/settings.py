@@ -302,8 +302,8 @@ class RealObject(Object):
     """A surface of the captured place, as far as light needs it. Its picture is the photo's."""
 
     reflectance: _ConstantTextureOrPhoto = Field(
-        description="Diffuse reflectance, linear Rec.709, 0..1: grey, [r, g, b], a texture, or `photo`, which "
-        "takes it from the picture by Delta = L_b dE / E_r"
+        description="Diffuse reflectance, linear Rec.709, 0..1: grey, [r, g, b], a texture, or `photo`, "
+        "which takes it from the picture by Delta = L_b dE / E_r"
     )
 
 
