@@ -34,8 +34,8 @@ class Detection:
     included). `points_3d` (n, 3) metres in the world of the target; for tags without a layout each
     point is in its own tag's frame. `ids` (n,): the marker that a point belongs to, or the corner of a
     ChArUco board. `covariance` (2n, 2n) px^2 of x0 y0 x1 y1 .... `duplicates`: ids seen more than
-    once, with the centres of all places. `repaired`: wrong bits that decoding corrected, by id. `others`: ids of the
-    same dictionary that are not of the target.
+    once, with the centres of all places. `repaired`: wrong bits that decoding corrected, by id.
+    `others`: ids of the same dictionary that are not of the target.
     """
 
     points_2d: np.ndarray

@@ -1,0 +1,365 @@
+"""Camera poses of a whole shot from its printed target.
+
+Each frame is looked at once; all its poses are kept (`pose_solver`). Which root is the true one is chosen
+over the whole shot, as the path through the frames that explains the pictures best and moves
+least (Viterbi). Frames without a pose are treated as the job says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from mrbatch.capture.marker_video.calibration import Calibration
+from mrbatch.capture.marker_video.markers import (
+    Detection,
+    TargetDetector,
+    other_dictionaries,
+    srgb_to_linear,
+)
+from mrbatch.capture.marker_video.pose_solver import Root, angle_between, pose_covariance, solve
+from mrbatch.capture.marker_video.tag_layout import estimate_layout, place
+from mrbatch.capture.marker_video.target_settings import TargetSettings
+from mrbatch.errors import InputError, Place
+
+LostPolicy = Literal["stop", "skip", "hold-last", "interpolate"]
+
+AMBIGUOUS_RATIO = 2.0
+"""Two roots whose rms differ by less than this factor are not told apart by one picture."""
+AMBIGUOUS_ANGLE = np.radians(2.0)
+"""Roots closer than this are no flip: either serves, and the covariance says how well."""
+POOR_SHARE = 0.02
+"""rms over the target's extent in the picture (and above a pixel): a bent print or a wrong calibration."""
+REFUSED_SHARE = 0.06
+"""... and from here on it is not this target."""
+_JUMP_CAP = 16.0
+"""What the largest jump may cost, in units of chi^2 (four sigma): cuts and stills stay possible."""
+_SEEN_FRAMES = 5
+"""How many frames are searched for other dictionaries when the target is never seen."""
+
+
+@dataclass(frozen=True)
+class FramePose:
+    """The pose of one frame.
+
+    `world_from_camera` (4, 4) float64 metres, None where the frame has no usable pose. `roots`: all
+    poses that explain the picture, best first; `chosen` indexes them (None: lost). `rms`: reprojection
+    error in pixels of the chosen root. `covariance` (6, 6): rotation about the camera's axes
+    (radians), then its place in the world (metres); None where the pose was not measured here.
+    `flags`: `lost` (nothing usable was seen), `ambiguous` (two roots not told apart; refused),
+    `held`, `interpolated`, `poor-fit` (used, but the print is bent or the calibration off). `points`:
+    how many points were seen. `repaired`: ids whose wrong bits were corrected.
+    """
+
+    number: int
+    time: float
+    world_from_camera: np.ndarray | None
+    roots: tuple[Root, ...] = ()
+    chosen: int | None = None
+    rms: float | None = None
+    covariance: np.ndarray | None = None
+    flags: tuple[str, ...] = ()
+    points: int = 0
+    repaired: tuple[int, ...] = ()
+
+    @property
+    def ratio(self) -> float:
+        """rms of the second root over the first's; infinite where there is one root only."""
+        if len(self.roots) < 2:
+            return float("inf")
+        return self.roots[1].rms / max(self.roots[0].rms, 1e-12)
+
+
+@dataclass(frozen=True)
+class PoseTable:
+    """Poses of a shot, one row a frame in the order given.
+
+    `median_rms`: median reprojection error in pixels of the measured frames. `noise`: standard deviation of
+    detected points relative to what their covariance says. `layout`: world_from_tag (4, 4) by
+    id where it was estimated.
+    """
+
+    frames: tuple[FramePose, ...]
+    median_rms: float
+    noise: float
+    layout: dict[int, np.ndarray] | None = None
+
+    def poses(self) -> dict[int, np.ndarray]:
+        """Frame number to world_from_camera of every frame that has one."""
+        return {f.number: f.world_from_camera for f in self.frames if f.world_from_camera is not None}
+
+    def row(self, number: int) -> FramePose:
+        """The row of one frame. Raises KeyError where there is none."""
+        for frame in self.frames:
+            if frame.number == number:
+                return frame
+        raise KeyError(number)
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """One mapping a frame, ready for JSON (`load_poses` reads such a list where no pose is null)."""
+        return [
+            {
+                "frame": f.number,
+                "time": f.time,
+                "world_from_camera": None if f.world_from_camera is None else f.world_from_camera.tolist(),
+                "rms_px": f.rms,
+                "points": f.points,
+                "roots_rms_px": [root.rms for root in f.roots],
+                "sigma_deg": _degrees(f.covariance),
+                "sigma_m": None if f.covariance is None else float(np.sqrt(np.trace(f.covariance[3:, 3:]))),
+                "repaired_ids": list(f.repaired),
+                "flags": list(f.flags),
+            }
+            for f in self.frames
+        ]
+
+
+def _degrees(covariance: np.ndarray | None) -> float | None:
+    return None if covariance is None else float(np.degrees(np.sqrt(np.trace(covariance[:3, :3]))))
+
+
+def solve_poses(
+    frames: Iterable[tuple[int, float, Callable[[], np.ndarray]]],
+    calibration: Calibration,
+    target: TargetSettings,
+    *,
+    lost: LostPolicy = "stop",
+    transfer: Callable[[np.ndarray], np.ndarray] = srgb_to_linear,
+    progress: Callable[[int], None] | None = None,
+) -> PoseTable:
+    """Poses of all frames of a shot.
+
+    `frames`: number, time in seconds, and a call that gives the grey picture (height, width), as uint8
+    or uint16 codes of `transfer` or as linear floats; pictures are asked for one at a time. `lost`: what
+    happens to frames without a usable pose: `stop` (error), `skip` (no pose), `hold-last` (the pose
+    before), `interpolate` (between the neighbours; held at the ends). `progress` is called with each
+    frame number done.
+
+    Raises InputError: the target is never seen (the hint names dictionaries that do see markers), a
+    marker is seen twice in one frame, a picture has another size than the calibration, poses are
+    missing under `stop`.
+    """
+    detector = TargetDetector(target, calibration, transfer=transfer)
+    looked: list[tuple[int, float, Detection]] = []
+    first: list[np.ndarray] = []
+    for number, time, load in frames:
+        grey = load()
+        if grey.ndim != 2:
+            raise InputError(f"expected a grey picture, got shape {grey.shape}", place=Place(frame=number))
+        calibration.check_size(grey.shape[1], grey.shape[0], Place(frame=number))
+        detection = detector.detect(grey)
+        _refuse_duplicates(detection, number)
+        if len(detection) == 0 and len(first) < _SEEN_FRAMES:
+            first.append(grey)
+        looked.append((number, time, detection))
+        if progress:
+            progress(number)
+    if not looked:
+        raise InputError("there are no frames to find the target in")
+    if not any(len(d) for _, _, d in looked):
+        raise _never_seen(target, looked, first)
+    layout = None
+    if target.tags and target.tags.layout is None:
+        layout = estimate_layout([(n, d) for n, _, d in looked], calibration, target.tags)
+        looked = [(n, t, place(d, layout)) for n, t, d in looked]
+    return _table(looked, calibration, lost, layout)
+
+
+def _refuse_duplicates(detection: Detection, number: int) -> None:
+    for marker, centres in detection.duplicates.items():
+        places = " and ".join(f"({x:.0f}, {y:.0f})" for x, y in centres)
+        raise InputError(
+            f"marker {marker} is seen {len(centres)} times, at pixels {places}",
+            place=Place(frame=number),
+            hint="each id may lie on the scene once: cover one of them or print another id",
+        )
+
+
+def _never_seen(target: TargetSettings, looked, pictures: list[np.ndarray]) -> InputError:
+    what = f"marker {target.marker.id}" if target.marker else ("the board" if target.board else "a tag")
+    hints = []
+    beside = sorted({i for _, _, d in looked for i in d.others})
+    if beside:
+        hints.append(f"{target.dictionary} shows the ids {', '.join(map(str, beside))}")
+    else:
+        for name, ids in list(other_dictionaries(pictures, target.dictionary).items())[:3]:
+            hints.append(f"{name} sees the ids {', '.join(map(str, ids[:8]))}")
+    hint = (
+        "; ".join(hints) if hints else "no dictionary sees a marker: is the print sharp and wholly in view?"
+    )
+    return InputError(f"{what} of {target.dictionary} is seen in none of the {len(looked)} frames", hint=hint)
+
+
+def _table(
+    looked: list[tuple[int, float, Detection]],
+    calibration: Calibration,
+    lost: LostPolicy,
+    layout: dict[int, np.ndarray] | None,
+) -> PoseTable:
+    roots = [_usable(solve(d, calibration), d) for _, _, d in looked]
+    noise2, own = _noise([d for _, _, d in looked], roots)
+    measured = [i for i, r in enumerate(roots) if r]
+    choice, ambiguous = choose_roots([roots[i] for i in measured], [own[i] for i in measured])
+    rows = [
+        FramePose(number, time, None, flags=("lost",), points=len(d), repaired=tuple(d.repaired))
+        for number, time, d in looked
+    ]
+    for i, chosen, doubtful in zip(measured, choice, ambiguous, strict=True):
+        root = roots[i][chosen]
+        rows[i] = replace(
+            rows[i],
+            world_from_camera=None if doubtful else root.world_from_camera,
+            roots=tuple(roots[i]),
+            chosen=chosen,
+            rms=root.rms,
+            covariance=own[i] * pose_covariance(root, looked[i][2], calibration),
+            flags=_flags(root, looked[i][2], doubtful),
+        )
+    good = [row.rms for row in rows if row.world_from_camera is not None]
+    if not good:
+        raise InputError(
+            "the target is seen, but no frame gives a pose: "
+            + ("two poses explain it equally well" if measured else "its points do not fit its shape"),
+            hint="film it larger and at a slant, or use a board"
+            if measured
+            else "check the target's size, layout and the calibration",
+        )
+    rows = _fill(rows, lost)
+    return PoseTable(tuple(rows), float(np.median(good)), float(np.sqrt(noise2)), layout)
+
+
+def _noise(detections: list[Detection], roots: list[list[Root]]) -> tuple[float, list[float]]:
+    """Variance of detected points relative to their stated covariance: the shot's median, and each frame's.
+
+    A pose has 6 numbers; what is left of the residuals follows a chi^2 with 2n - 6 degrees of freedom.
+    A frame that fits worse than the shot as a whole counts with its own misfit.
+    """
+    from scipy.stats import chi2
+
+    freedom = [2 * len(d) - 6 for d in detections]
+    shares = [r[0].chi2 / chi2.median(k) for r, k in zip(roots, freedom, strict=True) if r and k > 0]
+    shot = float(np.median(shares)) if shares else 1.0
+    if sum(k for r, k in zip(roots, freedom, strict=True) if r) < 50:
+        shot = max(shot, 1.0)
+    own = [max(shot, r[0].chi2 / k) if r and k > 0 else shot for r, k in zip(roots, freedom, strict=True)]
+    return shot, own
+
+
+def _extent(detection: Detection) -> float:
+    return float(np.ptp(detection.points_2d, axis=0).max())
+
+
+def _usable(roots: list[Root], detection: Detection) -> list[Root]:
+    """The two best roots, or none where even the best does not fit the target's shape."""
+    if not roots:
+        return []
+    return roots[:2] if roots[0].rms <= max(1.0, REFUSED_SHARE * _extent(detection)) else []
+
+
+def _flags(root: Root, detection: Detection, doubtful: bool) -> tuple[str, ...]:
+    poor = root.rms > max(1.0, POOR_SHARE * _extent(detection))
+    return ("ambiguous",) * doubtful + ("poor-fit",) * poor
+
+
+def choose_roots(roots: list[list[Root]], noise2: list[float]) -> tuple[list[int], list[bool]]:
+    """For each frame in order: the index of its chosen root, and whether the choice is doubtful.
+
+    Minimises sum chi^2 / noise2 + sum of jumps between neighbours, min((jump / usual)^2, cap), over
+    all paths; a jump is the turn in radians plus the shift over the distance, `usual` the shot's own
+    median of the smallest jump between neighbours. A frame is doubtful where two distinct roots have
+    nearly one rms and neither the neighbours nor the whole path tell them apart. `noise2`: for each
+    frame, variance of its points relative to what their covariance says.
+    """
+    if not roots:
+        return [], []
+    single = [[r.chi2 / n for r in frame] for frame, n in zip(roots, noise2, strict=True)]
+    jumps = [np.array([[_jump(a, b) for b in roots[i + 1]] for a in roots[i]]) for i in range(len(roots) - 1)]
+    usual = 0.02 + (float(np.median([j.min() for j in jumps])) if jumps else 0.0)
+    costs = [np.minimum((j / usual) ** 2, _JUMP_CAP) for j in jumps]
+    forward = [np.array(single[0])]
+    for i, cost in enumerate(costs):
+        forward.append((forward[-1][:, None] + cost).min(axis=0) + single[i + 1])
+    backward = [np.zeros(len(single[-1]))]
+    for i in range(len(costs) - 1, -1, -1):
+        backward.append((costs[i] + (single[i + 1] + backward[-1])[None, :]).min(axis=1))
+    backward.reverse()
+    choice: list[int] = []
+    doubt: list[bool] = []
+    for i, frame in enumerate(roots):
+        if not choice:
+            best = int(np.argmin(forward[0] + backward[0]))
+        else:
+            best = int(np.argmin(costs[i - 1][choice[-1]] + single[i] + backward[i]))
+        choice.append(best)
+        doubt.append(_doubtful(frame, best, forward[i] + backward[i], single[i]))
+    return choice, doubt
+
+
+def _doubtful(frame: list[Root], best: int, total: np.ndarray, single: list[float]) -> bool:
+    if len(frame) < 2:
+        return False
+    other = 1 - best
+    if angle_between(frame[0].world_from_camera, frame[1].world_from_camera) < AMBIGUOUS_ANGLE:
+        return False
+    if frame[other].rms >= AMBIGUOUS_RATIO * frame[best].rms:
+        return False
+    margin = total[other] - total[best]
+    context = margin - (single[other] - single[best])
+    # nine is three sigma; the neighbours must speak for it, not this one picture
+    return bool(margin < 9.0 or context < 4.0)
+
+
+def _jump(a: Root, b: Root) -> float:
+    p, q = a.world_from_camera, b.world_from_camera
+    distance = 0.5 * (np.linalg.norm(p[:3, 3]) + np.linalg.norm(q[:3, 3]))
+    return angle_between(p, q) + float(np.linalg.norm(p[:3, 3] - q[:3, 3]) / max(distance, 1e-12))
+
+
+def _fill(rows: list[FramePose], lost: LostPolicy) -> list[FramePose]:
+    """Frames without a pose, treated by the policy."""
+    missing = [row for row in rows if row.world_from_camera is None]
+    if not missing or lost == "skip":
+        return rows
+    if lost == "stop":
+        numbers = ", ".join(f"{row.number} ({row.flags[0]})" for row in missing[:10])
+        more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
+        raise InputError(
+            f"no pose for {len(missing)} of {len(rows)} frames: {numbers}{more}",
+            place=Place(frame=missing[0].number),
+            hint="set `lost` to skip, hold-last or interpolate, or leave these frames out",
+        )
+    known = [i for i, row in enumerate(rows) if row.world_from_camera is not None]
+    filled = list(rows)
+    for i, row in enumerate(rows):
+        if row.world_from_camera is not None:
+            continue
+        before = max((k for k in known if k < i), default=None)
+        after = min((k for k in known if k > i), default=None)
+        if lost == "interpolate" and before is not None and after is not None:
+            pose, flag = interpolate(rows[before], rows[after], row.time), "interpolated"
+        elif before is not None:
+            pose, flag = rows[before].world_from_camera, "held"
+        elif lost == "interpolate" and after is not None:
+            pose, flag = rows[after].world_from_camera, "held"
+        else:
+            continue
+        filled[i] = replace(row, world_from_camera=pose, covariance=None, flags=(*row.flags, flag))
+    return filled
+
+
+def interpolate(before: FramePose, after: FramePose, time: float) -> np.ndarray:
+    """(4, 4) pose between two frames: rotation along the shortest arc, place along the line, by time."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    a, b = before.world_from_camera, after.world_from_camera
+    assert a is not None and b is not None
+    span = after.time - before.time
+    share = (time - before.time) / span if span > 0 else 0.5
+    pose = np.eye(4)
+    turns = Rotation.from_matrix(np.stack([a[:3, :3], b[:3, :3]]))
+    pose[:3, :3] = Slerp([0.0, 1.0], turns)([share]).as_matrix()[0]
+    pose[:3, 3] = (1.0 - share) * a[:3, 3] + share * b[:3, 3]
+    return pose
