@@ -102,7 +102,8 @@ class Pass:
     `launch(context, span)` runs the kernels over the units of one span and may be called from any
     thread; a pass gathers (an element owns what it writes), so the cut into spans never shows.
     `halo`: how many elements around its own a pass reads from the buffers in `reads`.
-    `kernels`: every kernel it can launch; all are compiled before the first launch.
+    `kernels`: every kernel it can launch; all are compiled before the first launch. `everywhere`: it
+    runs over its whole domain, also over tiles that nothing virtual touches.
     """
 
     name: str
@@ -113,6 +114,7 @@ class Pass:
     kernels: tuple[Any, ...] = ()
     counters: tuple[Counter, ...] = ()
     halo: int = 0
+    everywhere: bool = False
 
 
 @dataclass(frozen=True)

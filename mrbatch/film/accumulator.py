@@ -65,8 +65,54 @@ def film_pixel(film: FilmData, unit: wp.int32, lane: wp.int32) -> Pixel:
     return pixel
 
 
+vec7d = wp.types.vector(length=7, dtype=wp.float64)
+
+
+@wp.struct
+class PixelSums:
+    """Running sums of one pixel and half, in registers while a kernel adds samples."""
+
+    sums: vec7d
+    squares: wp.vec3d
+
+
+@wp.func
+def film_load(film: FilmData, half: wp.int32, index: wp.int32) -> PixelSums:
+    """The sums so far: a kernel goes on from them, so the batch in which a sample came does not show."""
+    total = PixelSums()
+    for c in range(7):
+        total.sums[c] = film.sums[half, index, c]
+    for c in range(3):
+        total.squares[c] = film.squares[half, index, c]
+    return total
+
+
+@wp.func
+def film_add(
+    total: PixelSums, value: wp.vec3, covered: float, delta: wp.vec3, background: wp.vec3
+) -> PixelSums:
+    """Adds one sample: premultiplied virtual light, coverage 0 or 1, light change."""
+    result = total
+    change = value - background * covered + delta
+    for c in range(3):
+        result.sums[c] += wp.float64(value[c])
+        result.sums[4 + c] += wp.float64(delta[c])
+        result.squares[c] += wp.float64(change[c]) * wp.float64(change[c])
+    result.sums[3] += wp.float64(covered)
+    return result
+
+
+@wp.func
+def film_store(film: FilmData, half: wp.int32, index: wp.int32, total: PixelSums, samples: wp.int32):
+    for c in range(7):
+        film.sums[half, index, c] = total.sums[c]
+    for c in range(3):
+        film.squares[half, index, c] = total.squares[c]
+    film.counts[half, index] = film.counts[half, index] + samples
+
+
 @dataclass(frozen=True)
-class Estimate:
+class Developed:
     """What a film holds, developed: means over both halves, float64, on the data window.
 
     P (h, w, 3), a (h, w), D (h, w, 3); `variance` (h, w, 3) of the composite's mean, from the
@@ -126,7 +172,7 @@ class FilmLayout:
         for part in ("sums", "squares", "counts"):
             buffers[self.name(part)].zero_()
 
-    def develop(self, buffers: Any, background: np.ndarray) -> Estimate:
+    def develop(self, buffers: Any, background: np.ndarray) -> Developed:
         """The estimate that the buffers hold; `background` as given to `data`."""
         h, w = self.window.height, self.window.width
         sums = buffers[self.name("sums")].numpy()
@@ -148,7 +194,7 @@ class FilmLayout:
             return x.reshape(h, w, -1)
 
         split = self.channels >= SPLIT_CHANNELS
-        return Estimate(
+        return Developed(
             window=self.window,
             P=image(mean[:, P : P + 3]),
             a=mean[:, A].reshape(h, w),

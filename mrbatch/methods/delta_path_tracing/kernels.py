@@ -30,7 +30,7 @@ from typing import Any
 import warp as wp
 
 from mrbatch.device.rays import FAR, Engine, RaySet, rays
-from mrbatch.film.accumulator import FilmData, film_pixel
+from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
 from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
@@ -74,6 +74,8 @@ class Flags:
     pixel_filter: str = "box"
     strategy: str = "mis"
     shading: ShadingFlags = ShadingFlags()
+    light_change: bool = True
+    """Real surfaces are seen and can change."""
     real_on_real: bool = True
     """A real point can see another real point."""
     virtual_paths: bool = True
@@ -234,16 +236,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             return
         background = film.background[pixel.index]
         key = pixel_key(frame.seed, frame.frame, frame.view, half, pixel.x, pixel.y)
-        p0 = film.sums[half, pixel.index, 0]
-        p1 = film.sums[half, pixel.index, 1]
-        p2 = film.sums[half, pixel.index, 2]
-        coverage = film.sums[half, pixel.index, 3]
-        d0 = film.sums[half, pixel.index, 4]
-        d1 = film.sums[half, pixel.index, 5]
-        d2 = film.sums[half, pixel.index, 6]
-        s0 = film.squares[half, pixel.index, 0]
-        s1 = film.squares[half, pixel.index, 1]
-        s2 = film.squares[half, pixel.index, 2]
+        total = film_load(film, half, pixel.index)
         shadow_rays = int(0)
         scatter_rays = int(0)
         lookups = int(0)
@@ -278,87 +271,88 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                 if is_virtual and not skip:
                     covered = 1.0
                     legs = 1
-                if not is_virtual and not skip:
-                    d = primary.direction
-                    throughput = wp.vec3(1.0, 1.0, 1.0)
-                    while edges < settings.max_edges:
-                        vertices += 1
-                        dimension = DIM_VERTEX * edges
-                        surface = surface_at(scene, frame.photo, point)
-                        basis = orthonormal_basis(point.ns)
-                        wo = to_local(basis, -d)
-                        if wp.static(sample_light):
-                            light = env_sample(
-                                scene.environment, sample_2d_precise(key, index, dimension + DIM_LIGHT)
-                            )
-                            if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
-                                wi = to_local(basis, light.direction)
-                                f = bsdf_evaluate(surface, wo, wi)
-                                if max_component(f) > 0.0:
-                                    shadow_rays += 1
-                                    o = offset_origin(point.p, point.ng, light.direction, point.reach)
-                                    lost = occluded(scene.virtual_set, o, light.direction, FAR)
-                                    if wp.static(flags.real_on_real):
+                if wp.static(flags.light_change):
+                    if not is_virtual and not skip:
+                        d = primary.direction
+                        throughput = wp.vec3(1.0, 1.0, 1.0)
+                        while edges < settings.max_edges:
+                            vertices += 1
+                            dimension = DIM_VERTEX * edges
+                            surface = surface_at(scene, frame.photo, point)
+                            basis = orthonormal_basis(point.ns)
+                            wo = to_local(basis, -d)
+                            if wp.static(sample_light):
+                                light = env_sample(
+                                    scene.environment, sample_2d_precise(key, index, dimension + DIM_LIGHT)
+                                )
+                                if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                                    wi = to_local(basis, light.direction)
+                                    f = bsdf_evaluate(surface, wo, wi)
+                                    if max_component(f) > 0.0:
+                                        shadow_rays += 1
+                                        o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                                        lost = occluded(scene.virtual_set, o, light.direction, FAR)
+                                        if wp.static(flags.real_on_real):
+                                            if lost:
+                                                shadow_rays += 1
+                                                lost = not occluded(scene.real_set, o, light.direction, FAR)
                                         if lost:
-                                            shadow_rays += 1
-                                            lost = not occluded(scene.real_set, o, light.direction, FAR)
-                                    if lost:
-                                        lookups += 1
-                                        w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
-                                        blocked -= wp.cw_mul(wp.cw_mul(throughput, f), light.radiance) * w
-                        drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
-                        if max_component(drawn.weight) <= 0.0:
-                            break
-                        d = to_world(basis, drawn.wi)
-                        if wp.dot(point.ng, d) <= 0.0:
-                            break
-                        throughput = wp.cw_mul(throughput, drawn.weight)
-                        o = offset_origin(point.p, point.ng, d, point.reach)
-                        scatter_rays += 1
-                        seen = trace(scene.virtual_set, o, d, FAR)
-                        behind_t = FAR
-                        behind_triangle = wp.int32(-1)
-                        behind_u = float(0.0)
-                        behind_v = float(0.0)
-                        if wp.static(flags.real_on_real):
+                                            lookups += 1
+                                            w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
+                                            blocked -= wp.cw_mul(wp.cw_mul(throughput, f), light.radiance) * w
+                            drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
+                            if max_component(drawn.weight) <= 0.0:
+                                break
+                            d = to_world(basis, drawn.wi)
+                            if wp.dot(point.ng, d) <= 0.0:
+                                break
+                            throughput = wp.cw_mul(throughput, drawn.weight)
+                            o = offset_origin(point.p, point.ng, d, point.reach)
                             scatter_rays += 1
-                            behind = trace(scene.real_set, o, d, FAR)
-                            behind_t = behind.t
-                            behind_triangle = behind.triangle
-                            behind_u = behind.u
-                            behind_v = behind.v
-                        if seen.triangle >= 0 and seen.t < behind_t:
-                            edges += 1
-                            fork_throughput = throughput
-                            if behind_triangle < 0:
-                                w = scatter_weight(drawn.pdf, env_pdf(scene.environment, d))
-                                if w > 0.0:
-                                    lookups += 1
-                                    lost_light = env_radiance(scene.environment, d)
-                                    blocked -= wp.cw_mul(throughput, lost_light) * w
-                            if wp.static(flags.virtual_paths):
-                                plus = surface_point(scene, seen.triangle, seen.u, seen.v, d)
-                                plus_direction = d
-                                legs = 1
+                            seen = trace(scene.virtual_set, o, d, FAR)
+                            behind_t = FAR
+                            behind_triangle = wp.int32(-1)
+                            behind_u = float(0.0)
+                            behind_v = float(0.0)
                             if wp.static(flags.real_on_real):
-                                if behind_triangle >= 0:
-                                    minus = surface_point(scene, behind_triangle, behind_u, behind_v, d)
+                                scatter_rays += 1
+                                behind = trace(scene.real_set, o, d, FAR)
+                                behind_t = behind.t
+                                behind_triangle = behind.triangle
+                                behind_u = behind.u
+                                behind_v = behind.v
+                            if seen.triangle >= 0 and seen.t < behind_t:
+                                edges += 1
+                                fork_throughput = throughput
+                                if behind_triangle < 0:
+                                    w = scatter_weight(drawn.pdf, env_pdf(scene.environment, d))
+                                    if w > 0.0:
+                                        lookups += 1
+                                        lost_light = env_radiance(scene.environment, d)
+                                        blocked -= wp.cw_mul(throughput, lost_light) * w
+                                if wp.static(flags.virtual_paths):
+                                    plus = surface_point(scene, seen.triangle, seen.u, seen.v, d)
                                     plus_direction = d
-                                    legs = 2
-                            break
-                        if behind_triangle < 0:
-                            break
-                        if wp.static(flags.real_on_real):
-                            point = surface_point(scene, behind_triangle, behind_u, behind_v, d)
-                            if wp.static(flags.unreceptive):
-                                if (scene.objects[point.object].flags & RECEIVE) == 0:
-                                    break
-                            edges += 1
-                            q = survival(throughput, edges, settings)
-                            if q < 1.0:
-                                if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
-                                    break
-                                throughput = throughput / q
+                                    legs = 1
+                                if wp.static(flags.real_on_real):
+                                    if behind_triangle >= 0:
+                                        minus = surface_point(scene, behind_triangle, behind_u, behind_v, d)
+                                        plus_direction = d
+                                        legs = 2
+                                break
+                            if behind_triangle < 0:
+                                break
+                            if wp.static(flags.real_on_real):
+                                point = surface_point(scene, behind_triangle, behind_u, behind_v, d)
+                                if wp.static(flags.unreceptive):
+                                    if (scene.objects[point.object].flags & RECEIVE) == 0:
+                                        break
+                                edges += 1
+                                q = survival(throughput, edges, settings)
+                                if q < 1.0:
+                                    if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
+                                        break
+                                    throughput = throughput / q
                 for side in range(legs):
                     among = scene.all_set
                     start = plus
@@ -381,32 +375,12 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             blocked = wp.cw_mul(blocked, frame.gain)
             indirect = wp.cw_mul(indirect, frame.gain)
             delta = blocked + indirect
-            p0 += wp.float64(value[0])
-            p1 += wp.float64(value[1])
-            p2 += wp.float64(value[2])
-            coverage += wp.float64(covered)
-            d0 += wp.float64(delta[0])
-            d1 += wp.float64(delta[1])
-            d2 += wp.float64(delta[2])
-            change = value - background * covered + delta
-            s0 += wp.float64(change[0]) * wp.float64(change[0])
-            s1 += wp.float64(change[1]) * wp.float64(change[1])
-            s2 += wp.float64(change[2]) * wp.float64(change[2])
+            total = film_add(total, value, covered, delta, background)
             if wp.static(flags.split):
                 for c in range(3):
                     film.sums[half, pixel.index, 7 + c] += wp.float64(blocked[c])
                     film.sums[half, pixel.index, 10 + c] += wp.float64(indirect[c])
-        film.sums[half, pixel.index, 0] = p0
-        film.sums[half, pixel.index, 1] = p1
-        film.sums[half, pixel.index, 2] = p2
-        film.sums[half, pixel.index, 3] = coverage
-        film.sums[half, pixel.index, 4] = d0
-        film.sums[half, pixel.index, 5] = d1
-        film.sums[half, pixel.index, 6] = d2
-        film.squares[half, pixel.index, 0] = s0
-        film.squares[half, pixel.index, 1] = s1
-        film.squares[half, pixel.index, 2] = s2
-        film.counts[half, pixel.index] = film.counts[half, pixel.index] + samples
+        film_store(film, half, pixel.index, total, samples)
         wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples))
         wp.atomic_add(counters, SHADOW_RAYS, wp.int64(shadow_rays))
         wp.atomic_add(counters, SCATTER_RAYS, wp.int64(scatter_rays))

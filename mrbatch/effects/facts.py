@@ -1,0 +1,38 @@
+"""What the rules of a plan look at: the scene, every frame's cameras, and what the job asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mrbatch.film.window import Window
+from mrbatch.scene.camera import Camera
+from mrbatch.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class FrameFacts:
+    """One frame: its number, and by view the camera and the gain (3,)."""
+
+    number: int
+    cameras: Mapping[str, Camera]
+    gains: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class ShotFacts:
+    """Everything a rule may look at.
+
+    `half_code`: half of the smallest step of the capture's code values, linear; 0 where the capture
+    has none (floating point). `windows`: data window by view. `settings`: the method's.
+    """
+
+    scene: Scene
+    frames: tuple[FrameFacts, ...]
+    windows: Mapping[str, Window]
+    settings: Any
+    layers: frozenset[str]
+    half_code: float

@@ -1,0 +1,64 @@
+"""Effect rules that every method of surfaces shares: absence proved from the scene's structure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mrbatch.contracts import Rule, Verdict
+from mrbatch.effects.facts import ShotFacts
+
+
+def absent(why: str) -> Verdict:
+    return Verdict("absent", why, bound=0.0)
+
+
+def needed(why: str, **numbers: float) -> Verdict:
+    return Verdict("needed", why, numbers)
+
+
+def _virtual(facts: ShotFacts) -> Verdict:
+    seen = [o for o in facts.scene.virtual if o.camera]
+    if not seen:
+        return absent("no virtual object that the camera sees")
+    return needed("virtual objects that the camera sees", objects=len(seen))
+
+
+def _glossy(facts: ShotFacts) -> Verdict:
+    metals = [o for o in facts.scene.objects if o.material.kind == "conductor"]
+    if not metals:
+        return absent("every surface is diffuse")
+    return needed("surfaces of metal", objects=len(metals))
+
+
+def _textures(facts: ShotFacts) -> Verdict:
+    textured = [o for o in facts.scene.objects if o.material.texture is not None]
+    if not textured:
+        return absent("no surface has a texture")
+    return needed("textured surfaces", objects=len(textured))
+
+
+def _holdout(facts: ShotFacts) -> Verdict:
+    if not any(o.holdout for o in facts.scene.virtual):
+        return absent("no object is a holdout")
+    return needed("holdout objects")
+
+
+def _distortion(facts: ShotFacts) -> Verdict:
+    cameras = [c for frame in facts.frames for c in frame.cameras.values()]
+    if not any(np.any(c.distortion != 0.0) for c in cameras):
+        return absent("no lens distortion in the calibration")
+    return needed("the lens distorts", largest=max(float(np.abs(c.distortion).max()) for c in cameras))
+
+
+def _environment(facts: ShotFacts) -> Verdict:
+    if facts.scene.environment.black:
+        return absent("no light comes from the environment")
+    return needed("light from the environment", fluence=float(facts.scene.environment.fluence().mean()))
+
+
+VIRTUAL = Rule("virtual", "what the camera sees of virtual objects", _virtual)
+GLOSSY = Rule("glossy", "glossy reflection", _glossy)
+TEXTURES = Rule("textures", "reflectance that varies over a surface", _textures)
+HOLDOUT = Rule("holdout", "objects that show the photo and hide virtual ones", _holdout)
+DISTORTION = Rule("lens-distortion", "distortion of the lens on the virtual layer", _distortion)
+ENVIRONMENT = Rule("environment-light", "light from the environment map", _environment)

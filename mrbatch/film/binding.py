@@ -1,0 +1,33 @@
+"""The structs of one view of one frame, as the kernels of surface methods take them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from mrbatch.film.first_hit import first_hit_data
+from mrbatch.film.outputs import FrameInput, Outputs, ViewOutput
+from mrbatch.film.photo_reflectance import photo_struct
+from mrbatch.kernels.camera import camera_data
+from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.scene_data import DeviceScene
+
+
+def bind_view(
+    scene: DeviceScene, outputs: Outputs, view: ViewOutput, frame: FrameInput, *, photo: bool
+) -> tuple[Any, Any, Any]:
+    """(FrameParams, FilmData, FirstHitData). `photo`: whether real surfaces take their reflectance from
+    the picture."""
+    given = frame.views[view.name]
+    params = FrameParams()
+    params.camera = camera_data(given.camera, scene.scene.origin)
+    params.gain = wp.vec3(*(float(g) for g in given.gain))
+    params.seed = wp.uint32(outputs.seed)
+    params.frame = frame.number
+    params.view = view.index
+    params.photo = photo_struct(view, frame, params.camera, photo, outputs.device)
+    film = outputs.layout(view).data(frame.buffers, given.background)
+    later = given.next_camera or given.camera
+    hits = first_hit_data(view, outputs, frame.buffers, camera_data(later, scene.scene.origin))
+    return params, film, hits

@@ -1,0 +1,251 @@
+"""Data layers of what is virtual: depth, normal, albedo, motion and object coverage at first hits.
+
+A pass of its own over a fixed number of camera rays, run only where a layer asks for it.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from mrbatch.contracts import Buffer, Counter, Pass
+from mrbatch.device.rays import FAR, Engine, rays
+from mrbatch.film.accumulator import FilmData, film_pixel
+from mrbatch.film.layers import NOTHING
+from mrbatch.film.outputs import Outputs, ViewOutput
+from mrbatch.film.pixel_pass import pixel_pass
+from mrbatch.kernels.camera import CameraData, make_camera
+from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.sampling import make_pixel_filter
+from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, DeviceScene, SceneData, surface_point
+from mrbatch.scene.shading import ShadingFlags, make_surface
+
+SAMPLES = wp.constant(wp.int32(32))
+RANKS = wp.constant(wp.int32(6))
+"""Objects that a pixel can hold: three Cryptomatte layers of two."""
+PARTS = ("depth", "normal", "albedo", "motion", "object_ids")
+_NOTHING = wp.constant(wp.float32(NOTHING))
+
+COUNTERS = (Counter("camera rays", "rays", "rays from the camera for data layers"),)
+
+
+@wp.struct
+class FirstHitData:
+    """Arrays over the window's pixels; those that are not asked for have length 1. `next_camera` is the
+    camera of the next frame. `ranks` holds object numbers plus one, `share` their coverage."""
+
+    next_camera: CameraData
+    depth: wp.array(dtype=wp.float32)
+    normal: wp.array(dtype=wp.vec3)
+    albedo: wp.array(dtype=wp.vec3)
+    motion: wp.array(dtype=wp.vec2)
+    ranks: wp.array2d(dtype=wp.int32)
+    share: wp.array2d(dtype=wp.float32)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which data layers are computed; the others leave no code."""
+
+    depth: bool
+    normal: bool
+    albedo: bool
+    motion: bool
+    object_ids: bool
+
+    @property
+    def any(self) -> bool:
+        return self.depth or self.normal or self.albedo or self.motion or self.object_ids
+
+
+def wanted(outputs: Outputs) -> Wanted:
+    return Wanted(*(part in outputs.needs for part in PARTS))
+
+
+def _name(view: ViewOutput, part: str) -> str:
+    return f"first/{view.name}/{part}"
+
+
+def first_hit_buffers(view: ViewOutput, outputs: Outputs) -> tuple[Buffer, ...]:
+    """Buffers of the layers that are asked for."""
+    n = view.window.pixels
+    wants = wanted(outputs)
+    found = []
+    for part, width in (("depth", 1), ("normal", 3), ("albedo", 3), ("motion", 2)):
+        if getattr(wants, part):
+            found.append(Buffer(_name(view, part), (n * width,), "float32", "frame"))
+    if wants.object_ids:
+        found.append(Buffer(_name(view, "ranks"), (n, int(RANKS)), "int32", "frame"))
+        found.append(Buffer(_name(view, "share"), (n, int(RANKS)), "float32", "frame"))
+    return tuple(found)
+
+
+@functools.cache
+def _make_kernel(
+    wants: Wanted, engine: Engine, model: str, distortion: bool, pixel_filter: str, shading: ShadingFlags
+) -> Any:
+    trace = rays(engine).trace
+    camera = make_camera(model, distortion)  # type: ignore[arg-type]
+    camera_ray, camera_project = camera.ray, camera.project
+    sample_2d = make_sampler("owen").sample_2d
+    offset = make_pixel_filter(pixel_filter)  # type: ignore[arg-type]
+    surface_at = make_surface(shading, camera)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def first_hit(
+        scene: SceneData,
+        frame: FrameParams,
+        film: FilmData,
+        out: FirstHitData,
+        units: wp.array(dtype=wp.int32),
+        first_unit: int,
+        half: int,
+        first_sample: int,
+        samples: int,
+        counters: wp.array(dtype=wp.int64),
+    ):
+        thread = wp.tid()
+        pixel = film_pixel(film, units[first_unit + (thread >> 8)], thread & 255)
+        if pixel.index < 0:
+            return
+        key = pixel_key(frame.seed, frame.frame, frame.view, 0, pixel.x, pixel.y)
+        depth = float(_NOTHING)
+        normal = wp.vec3(0.0, 0.0, 0.0)
+        albedo = wp.vec3(0.0, 0.0, 0.0)
+        motion = wp.vec2(0.0, 0.0)
+        hits = int(0)
+        weight = 1.0 / float(SAMPLES)
+        for n in range(int(SAMPLES)):
+            shift = offset(sample_2d(key, n, 0))
+            x = float(pixel.x) + 0.5 + shift[0]
+            y = float(pixel.y) + 0.5 + shift[1]
+            primary = camera_ray(frame.camera, x, y)
+            if primary.ok:
+                hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
+                if hit.triangle >= 0:
+                    point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
+                    flags = scene.objects[point.object].flags
+                    if (flags & VIRTUAL) != 0 and (flags & HOLDOUT) == 0:
+                        hits += 1
+                        if wp.static(wants.depth):
+                            depth = wp.min(depth, camera_project(frame.camera, point.p)[2])
+                        if wp.static(wants.normal):
+                            normal += point.ns * weight
+                        if wp.static(wants.albedo):
+                            albedo += surface_at(scene, frame.photo, point).reflectance * weight
+                        if wp.static(wants.motion):
+                            then = camera_project(out.next_camera, point.p)
+                            motion += wp.vec2(then[0] - x, then[1] - y)
+                        if wp.static(wants.object_ids):
+                            placed = int(0)
+                            for rank in range(int(RANKS)):
+                                holder = out.ranks[pixel.index, rank]
+                                if placed == 0 and (holder == 0 or holder == point.object + 1):
+                                    out.ranks[pixel.index, rank] = point.object + 1
+                                    out.share[pixel.index, rank] = out.share[pixel.index, rank] + weight
+                                    placed = 1
+        if wp.static(wants.depth):
+            out.depth[pixel.index] = depth
+        if wp.static(wants.normal):
+            out.normal[pixel.index] = normal
+        if wp.static(wants.albedo):
+            out.albedo[pixel.index] = albedo
+        if wp.static(wants.motion):
+            if hits > 0:
+                out.motion[pixel.index] = motion / float(hits)
+        wp.atomic_add(counters, 0, wp.int64(int(SAMPLES)))
+
+    return first_hit
+
+
+def first_hit_data(view: ViewOutput, outputs: Outputs, buffers: Any, next_camera: Any) -> Any:
+    """`FirstHitData` over allocated buffers."""
+    data = FirstHitData()
+    data.next_camera = next_camera
+    dtypes = {"depth": wp.float32, "normal": wp.vec3, "albedo": wp.vec3, "motion": wp.vec2}
+    for part, dtype in dtypes.items():
+        held = buffers.get(_name(view, part))
+        if held is None:
+            setattr(data, part, wp.zeros(1, dtype=dtype, device=outputs.device))
+        else:
+            setattr(data, part, held if dtype is wp.float32 else held.view(dtype))
+    ranks, share = buffers.get(_name(view, "ranks")), buffers.get(_name(view, "share"))
+    data.ranks = ranks if ranks is not None else wp.zeros((1, 1), dtype=wp.int32, device=outputs.device)
+    data.share = share if share is not None else wp.zeros((1, 1), dtype=wp.float32, device=outputs.device)
+    return data
+
+
+def first_hit_pass(
+    scene: DeviceScene,
+    view: ViewOutput,
+    outputs: Outputs,
+    shading: ShadingFlags,
+    distortion: bool,
+    pixel_filter: str,
+) -> Pass | None:
+    """The pass for the data layers that are asked for, or None where none is.
+
+    The context's `bound[view]` must start with FrameParams, FilmData and FirstHitData.
+    """
+    wants = wanted(outputs)
+    if not wants.any:
+        return None
+    if not wants.albedo:
+        shading = ShadingFlags()
+    kernel = _make_kernel(wants, scene.engine, view.model, distortion, pixel_filter, shading)
+    return pixel_pass(
+        f"first hits {view.name}".strip(),
+        view,
+        kernel,
+        lambda context: [
+            scene.data,
+            context.bound[view.name][0],
+            context.bound[view.name][1],
+            context.bound[view.name][2],
+        ],
+        writes=tuple(b.name for b in first_hit_buffers(view, outputs)),
+        counters=COUNTERS,
+        device=outputs.device,
+    )
+
+
+def first_hit_estimates(
+    view: ViewOutput, outputs: Outputs, buffers: Any, object_ids: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Host arrays by the names of `layers.ESTIMATES`.
+
+    `object_ids` (objects,) uint32: the id of each object of the scene. Where no pass ran (nothing
+    virtual), the layers are empty.
+    """
+    h, w = view.window.height, view.window.width
+    wants = wanted(outputs)
+    found: dict[str, np.ndarray] = {}
+    for part, width, empty in (
+        ("depth", 1, NOTHING),
+        ("normal", 3, 0.0),
+        ("albedo", 3, 0.0),
+        ("motion", 2, 0.0),
+    ):
+        if getattr(wants, part):
+            held = buffers.get(_name(view, part))
+            shape = (h, w) if width == 1 else (h, w, width)
+            found[part] = (
+                np.full(shape, empty, np.float32) if held is None else held.numpy().reshape(shape).copy()
+            )
+            if part == "depth" and held is not None:
+                # A tile that no pass ran over still holds the zero of its allocation.
+                found[part][found[part] == 0.0] = NOTHING
+    if wants.object_ids:
+        held = buffers.get(_name(view, "ranks"))
+        k = int(RANKS)
+        ranks = np.zeros((h * w, k), np.int32) if held is None else held.numpy()
+        share = np.zeros((h * w, k), np.float32) if held is None else buffers[_name(view, "share")].numpy()
+        ids = np.where(ranks > 0, np.concatenate([[0], object_ids])[ranks], 0).astype(np.uint32)
+        found["object_ids"] = ids.reshape(h, w, k)
+        found["object_coverage"] = share.reshape(h, w, k).copy()
+    return found

@@ -1,0 +1,61 @@
+"""What a pipeline has to produce, and what it gets for one frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mrbatch.device.rays import Engine
+from mrbatch.film.accumulator import BASE_CHANNELS, SPLIT_CHANNELS, FilmLayout
+from mrbatch.film.window import Window
+from mrbatch.scene.camera import Camera
+
+
+@dataclass(frozen=True)
+class ViewOutput:
+    """One view: its name and number (part of every random key), data window, and kind of camera."""
+
+    name: str
+    index: int
+    window: Window
+    model: str = "perspective"
+    distortion: bool = False
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Views and estimates (names of `mrbatch.film.layers.ESTIMATES`) that are asked for."""
+
+    views: tuple[ViewOutput, ...]
+    needs: frozenset[str]
+    seed: int
+    engine: Engine
+    device: str = "cpu"
+
+    def layout(self, view: ViewOutput, source: str = "method") -> FilmLayout:
+        """The film of a view: with D split where a layer needs it."""
+        channels = SPLIT_CHANNELS if "D_indirect" in self.needs else BASE_CHANNELS
+        return FilmLayout(view.window, view.name, source, channels)
+
+
+@dataclass(frozen=True)
+class ViewInput:
+    """One view of one frame on its data window: `background` (h, w, 3) float32, `gain` (3,), the camera
+    of this frame and, where motion is asked for, of the next."""
+
+    camera: Camera
+    background: np.ndarray
+    gain: np.ndarray
+    next_camera: Camera | None = None
+
+
+@dataclass(frozen=True)
+class FrameInput:
+    """What `Pipeline.bind` gets: the frame's number, its views, and the pipeline's arrays by name."""
+
+    number: int
+    views: Mapping[str, ViewInput]
+    buffers: Mapping[str, Any]

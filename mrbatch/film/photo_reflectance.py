@@ -1,0 +1,232 @@
+"""Diffuse reflectance of real surfaces from the photo itself: pi L_b / E_r at every pixel.
+
+With it the light change of a real point is L_b dE / E_r (Sato et al.; TRAP-3b of Xu et al.'s
+method): no albedo has to be known, and ink stays ink under a shadow. E_r, the irradiance without
+virtual objects, comes from the environment where no real surface is in the way, and from the photo
+where one is that the camera sees. A point that the camera does not see takes the mean reflectance
+of its surface.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from mrbatch.contracts import Buffer, Counter, Domain, Pass, PassContext, Span
+from mrbatch.device.rays import FAR, Engine, rays
+from mrbatch.film.accumulator import FilmData, film_pixel
+from mrbatch.film.outputs import FrameInput, Outputs, ViewOutput
+from mrbatch.film.pixel_pass import pixel_pass
+from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.environment import make_environment
+from mrbatch.kernels.numerics import (
+    balance_heuristic,
+    offset_origin,
+    orthonormal_basis,
+    to_world,
+)
+from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.sampling import cosine_hemisphere
+from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.scene_data import PHOTO, DeviceScene, SceneData, surface_point
+from mrbatch.scene.shading import PhotoReflectance
+
+SAMPLES = wp.constant(wp.int32(256))
+"""Pairs of samples for E_r at a pixel. 1 / E_r of a noisy E_r is too bright by its relative variance:
+stratified, that is below 1e-3 here."""
+DIMENSION = wp.constant(wp.int32(1 << 20))
+_INV_PI = wp.constant(wp.float32(0.31830988618379067))
+_PI = wp.constant(wp.float32(3.14159265358979323))
+
+RAYS = (Counter("irradiance rays", "rays", "rays that find the irradiance without virtual objects"),)
+
+
+def _name(view: ViewOutput, part: str) -> str:
+    return f"photo/{view.name}/{part}"
+
+
+def photo_buffers(view: ViewOutput, objects: int) -> tuple[Buffer, ...]:
+    n = view.window.pixels
+    return (
+        Buffer(_name(view, "reflectance"), (n * 3,), "float32", "frame"),
+        Buffer(_name(view, "object"), (n,), "int32", "frame"),
+        Buffer(_name(view, "mean"), (objects * 3,), "float32", "frame"),
+    )
+
+
+def photo_struct(view: ViewOutput, frame: FrameInput, camera: Any, on: bool, device: str) -> Any:
+    """`PhotoReflectance` over allocated buffers, or an empty one where the effect is off."""
+    photo = PhotoReflectance()
+    photo.camera = camera
+    if not on:
+        photo.reflectance = wp.zeros(1, dtype=wp.vec3, device=device)
+        photo.object = wp.zeros(1, dtype=wp.int32, device=device)
+        photo.mean = wp.zeros(1, dtype=wp.vec3, device=device)
+        return photo
+    photo.x, photo.y = view.window.x, view.window.y
+    photo.width, photo.height = view.window.width, view.window.height
+    photo.reflectance = frame.buffers[_name(view, "reflectance")].view(wp.vec3)
+    photo.object = frame.buffers[_name(view, "object")]
+    photo.mean = frame.buffers[_name(view, "mean")].view(wp.vec3)
+    return photo
+
+
+@functools.cache
+def _make_kernels(engine: Engine, model: str, distortion: bool, interpolation: str) -> tuple[Any, Any]:
+    trace, occluded = rays(engine).trace, rays(engine).occluded
+    camera = make_camera(model, distortion)  # type: ignore[arg-type]
+    camera_ray, camera_project = camera.ray, camera.project
+    environment = make_environment(interpolation)  # type: ignore[arg-type]
+    env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
+    sampler = make_sampler("owen")
+    sample_2d, sample_2d_precise = sampler.sample_2d, sampler.sample_2d_precise
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def identify(
+        scene: SceneData,
+        frame: FrameParams,
+        film: FilmData,
+        units: wp.array(dtype=wp.int32),
+        first_unit: int,
+        half: int,
+        first_sample: int,
+        samples: int,
+        counters: wp.array(dtype=wp.int64),
+    ):
+        """Which real object the pixel's centre shows."""
+        thread = wp.tid()
+        pixel = film_pixel(film, units[first_unit + (thread >> 8)], thread & 255)
+        if pixel.index < 0:
+            return
+        found = wp.int32(-1)
+        primary = camera_ray(frame.camera, float(pixel.x) + 0.5, float(pixel.y) + 0.5)
+        if primary.ok:
+            hit = trace(scene.real_set, primary.origin, primary.direction, FAR)
+            wp.atomic_add(counters, 0, wp.int64(1))
+            if hit.triangle >= 0:
+                found = scene.triangle_object[hit.triangle]
+        frame.photo.object[pixel.index] = found
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def reflectance(
+        scene: SceneData,
+        frame: FrameParams,
+        film: FilmData,
+        units: wp.array(dtype=wp.int32),
+        first_unit: int,
+        half: int,
+        first_sample: int,
+        samples: int,
+        counters: wp.array(dtype=wp.int64),
+    ):
+        """pi L_b / E_r at the pixel's centre."""
+        thread = wp.tid()
+        pixel = film_pixel(film, units[first_unit + (thread >> 8)], thread & 255)
+        if pixel.index < 0:
+            return
+        owner = frame.photo.object[pixel.index]
+        if owner < 0 or (scene.objects[owner].flags & PHOTO) == 0:
+            return
+        primary = camera_ray(frame.camera, float(pixel.x) + 0.5, float(pixel.y) + 0.5)
+        hit = trace(scene.real_set, primary.origin, primary.direction, FAR)
+        point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
+        basis = orthonormal_basis(point.ns)
+        key = pixel_key(frame.seed, frame.frame, frame.view, 2, pixel.x, pixel.y)
+        irradiance = wp.vec3d()
+        cast = int(1)
+        for n in range(int(SAMPLES)):
+            value = wp.vec3(0.0, 0.0, 0.0)
+            light = env_sample(scene.environment, sample_2d_precise(key, n, DIMENSION))
+            cosine = wp.dot(point.ns, light.direction)
+            if light.pdf > 0.0 and cosine > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                cast += 1
+                if not occluded(scene.real_set, o, light.direction, FAR):
+                    w = balance_heuristic(light.pdf, cosine * _INV_PI) / light.pdf
+                    value += light.radiance * (cosine * w)
+            local = cosine_hemisphere(sample_2d(key, n, DIMENSION + 1))
+            d = to_world(basis, local)
+            if local[2] > 0.0 and wp.dot(point.ng, d) > 0.0:
+                o = offset_origin(point.p, point.ng, d, point.reach)
+                cast += 1
+                seen = trace(scene.real_set, o, d, FAR)
+                if seen.triangle < 0:
+                    w = balance_heuristic(local[2] * _INV_PI, env_pdf(scene.environment, d))
+                    value += env_radiance(scene.environment, d) * (_PI * w)
+                else:
+                    other = surface_point(scene, seen.triangle, seen.u, seen.v, d)
+                    at = camera_project(frame.camera, other.p)
+                    i = wp.int32(wp.floor(at[0])) - film.x
+                    j = wp.int32(wp.floor(at[1])) - film.y
+                    if at[2] > 0.0 and i >= 0 and j >= 0 and i < film.width and j < film.height:
+                        k = j * film.width + i
+                        if frame.photo.object[k] == other.object:
+                            value += wp.cw_div(film.background[k], frame.gain) * _PI
+            irradiance += wp.vec3d(wp.float64(value[0]), wp.float64(value[1]), wp.float64(value[2]))
+        e = wp.vec3(float(irradiance[0]), float(irradiance[1]), float(irradiance[2])) / float(SAMPLES)
+        shown = wp.cw_div(film.background[pixel.index], frame.gain)
+        for c in range(3):
+            value_c = float(0.0)
+            if e[c] > 0.0:
+                value_c = wp.clamp(_PI * shown[c] / e[c], 0.0, 1.0)
+            shown[c] = value_c
+        frame.photo.reflectance[pixel.index] = shown
+        wp.atomic_add(counters, 0, wp.int64(cast))
+
+    return identify, reflectance
+
+
+def photo_passes(
+    scene: DeviceScene, view: ViewOutput, outputs: Outputs, distortion: bool
+) -> tuple[Pass, ...]:
+    """Three passes: which surface each pixel shows, its reflectance, and each surface's mean.
+
+    They run over the whole window, whatever tiles the shot does: light comes from beyond them. The
+    context's `bound[view]` must start with FrameParams and FilmData.
+    """
+    identify, reflectance = _make_kernels(
+        scene.engine, view.model, distortion, scene.scene.environment.interpolation
+    )
+
+    def inputs(context: PassContext) -> list[Any]:
+        bound = context.bound[view.name]
+        return [scene.data, bound[0], bound[1]]
+
+    def mean(context: PassContext, span: Span) -> None:
+        values = context.buffers[_name(view, "reflectance")].numpy().reshape(-1, 3)
+        owners = context.buffers[_name(view, "object")].numpy()
+        table = np.zeros((len(scene.scene.objects), 3))
+        for number, item in enumerate(scene.scene.objects):
+            chosen = owners == number
+            table[number] = values[chosen].mean(axis=0, dtype=np.float64) if chosen.any() else 0.5
+            if not item.material.from_photo:
+                table[number] = item.material.reflectance
+        out = context.buffers[_name(view, "mean")]
+        wp.copy(out, wp.array(table.astype(np.float32).ravel(), dtype=wp.float32, device=outputs.device))
+
+    names = [_name(view, part) for part in ("object", "reflectance", "mean")]
+    usual: dict[str, Any] = {"counters": RAYS, "everywhere": True, "device": outputs.device}
+    return (
+        pixel_pass(
+            f"photo surfaces {view.name}".strip(), view, identify, inputs, writes=(names[0],), **usual
+        ),
+        pixel_pass(
+            f"photo reflectance {view.name}".strip(),
+            view,
+            reflectance,
+            inputs,
+            reads=(names[0],),
+            writes=(names[1],),
+            **usual,
+        ),
+        Pass(
+            f"photo mean {view.name}".strip(),
+            Domain("nodes", 1, 1, 1),
+            mean,
+            reads=(names[0], names[1]),
+            writes=(names[2],),
+        ),
+    )

@@ -1,0 +1,124 @@
+"""Runs the pipelines of a shot, frame by frame: the four lists of passes, the halves, the counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from mrbatch.contracts import Pipeline
+from mrbatch.device.runner import Runner
+from mrbatch.device.timing import TimingNode
+from mrbatch.film.accumulator import Developed
+from mrbatch.film.outputs import FrameInput, Outputs, ViewInput
+
+
+@dataclass(frozen=True)
+class Source:
+    """A pipeline by the name under which its film is kept: `method`, or a participant's."""
+
+    name: str
+    pipeline: Pipeline
+
+
+@dataclass(frozen=True)
+class RenderedViews:
+    """`estimates`: by view, then by source. `buffers`: arrays as the passes left them. `history`: host
+    copies of the history buffers, or empty."""
+
+    estimates: Mapping[str, Mapping[str, Developed]]
+    buffers: Mapping[str, Any]
+    history: Mapping[str, np.ndarray]
+
+
+class FrameRenderer:
+    """Holds compiled pipelines and their buffers; `render` gives one frame.
+
+    `samples` of a frame are split evenly between the halves; `tiles` names the decision tiles of each
+    view that are done (None: all).
+    """
+
+    def __init__(
+        self, runner: Runner, sources: Sequence[Source], outputs: Outputs, timing: TimingNode
+    ) -> None:
+        self.runner = runner
+        self.sources = tuple(sources)
+        self.outputs = outputs
+        self.timing = timing
+        pipelines = [source.pipeline for source in self.sources]
+        runner.compile(pipelines, timing)
+        buffers = {b.name: b for pipeline in pipelines for b in pipeline.buffers}
+        for source in self.sources:
+            for view in outputs.views:
+                for b in outputs.layout(view, source.name).buffers():
+                    buffers[b.name] = b
+        self._descriptions = buffers
+        self.buffers = runner.allocate(tuple(buffers.values()))
+        self._shot_done = False
+
+    @property
+    def has_history(self) -> bool:
+        return any(b.lifetime == "history" for b in self._descriptions.values())
+
+    def render(
+        self,
+        number: int,
+        views: Mapping[str, ViewInput],
+        samples: int,
+        *,
+        tiles: Mapping[str, np.ndarray] | None = None,
+        history: Mapping[str, np.ndarray] | None = None,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> RenderedViews:
+        """One frame; `samples` a pixel, both halves together (rounded up to an even number)."""
+        frame = FrameInput(number, views, self.buffers)
+        for name, description in self._descriptions.items():
+            if description.lifetime in ("frame", "pass"):
+                self.buffers[name].zero_()
+            elif description.lifetime == "history":
+                if history is not None and name in history:
+                    wp.copy(self.buffers[name], wp.array(history[name], dtype=self.buffers[name].dtype))
+                else:
+                    self.buffers[name].zero_()
+        bound = {source.name: source.pipeline.bind(frame) for source in self.sources}
+
+        def run(kind: str, **counts: int) -> None:
+            for source in self.sources:
+                for step in getattr(source.pipeline, kind):
+                    units = None
+                    if step.domain.kind == "pixels" and tiles is not None and not step.everywhere:
+                        units = tiles.get(step.domain.view)
+                    self.runner.run(
+                        step, bound[source.name], self.buffers, self.timing, units=units, **counts
+                    )
+
+        if not self._shot_done:
+            run("shot")
+            self._shot_done = True
+        run("frame")
+        per_half = (samples + 1) // 2
+        batch = max((source.pipeline.batch for source in self.sources), default=1)
+        for first in range(0, per_half, batch):
+            count = min(batch, per_half - first)
+            for half in (0, 1):
+                run("refine", half=half, first_sample=first, samples=count)
+            progress((first + count) / per_half)
+        run("finish")
+        estimates = {
+            view.name: {
+                source.name: self.outputs.layout(view, source.name).develop(
+                    self.buffers, views[view.name].background
+                )
+                for source in self.sources
+            }
+            for view in self.outputs.views
+        }
+        kept = {
+            name: self.buffers[name].numpy().copy()
+            for name, description in self._descriptions.items()
+            if description.lifetime == "history"
+        }
+        return RenderedViews(estimates, self.buffers, kept)

@@ -1,0 +1,24 @@
+"""Sweep axes of delta path tracing: each setting that trades accuracy for time."""
+
+from mrbatch.contracts import Axis
+
+AXES = (
+    Axis("spp", "method.spp", (4, 16, 64, 256, 1024), "time ~ N, error ~ N^-1/2 or faster", "camera rays"),
+    Axis("depth", "method.max_depth", (2, 3, 4, 8, None), "bias falls as albedo^depth", "vertices"),
+    Axis("roulette", "method.roulette_depth", (3, 5, 9), "noise against path length", "vertices"),
+    Axis(
+        "strategy", "method.strategy", ("mis", "environment", "bsdf"), "variance by lobe and map", "lookups"
+    ),
+    Axis(
+        "sampler", "method.sampler", ("owen", "independent"), "slope -1/2 to -3/4 where smooth", "camera rays"
+    ),
+    Axis(
+        "filter",
+        "method.pixel_filter",
+        ("box", "gaussian", "blackman-harris"),
+        "edges against noise",
+        "camera rays",
+    ),
+    Axis("resolution", "output.scale", (0.25, 0.5, 1.0), "time ~ pixels", "camera rays"),
+    Axis("engine", "engine", ("embree", "warp"), "same picture, other time", "scatter rays"),
+)

@@ -1,0 +1,87 @@
+"""One call from a scene in memory to a method's estimate: for tests, hard cases and benches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mrbatch.contracts import Method
+from mrbatch.device.rays import resolve_engine
+from mrbatch.device.runner import Runner
+from mrbatch.device.timing import TimingNode
+from mrbatch.effects.facts import FrameFacts, ShotFacts
+from mrbatch.effects.plan import Plan, make_plan
+from mrbatch.film.accumulator import Developed
+from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
+from mrbatch.film.rendering import FrameRenderer, Source
+from mrbatch.film.window import Window
+from mrbatch.scene.camera import Camera
+from mrbatch.scene.scene import Scene
+from mrbatch.scene.scene_data import upload
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A method's estimate of one frame, the plan it followed, and the work it took."""
+
+    developed: Developed
+    plan: Plan
+    timing: TimingNode
+    background: np.ndarray
+
+    @property
+    def counters(self) -> dict[str, int]:
+        return self.timing.total_counters()
+
+
+def estimate(
+    method: Method,
+    scene: Scene,
+    camera: Camera,
+    *,
+    settings: Mapping[str, Any] | None = None,
+    spp: int = 64,
+    background: np.ndarray | None = None,
+    gain: Iterable[float] = (1.0, 1.0, 1.0),
+    needs: Iterable[str] = (),
+    forced: Mapping[str, str] | None = None,
+    half_code: float = 0.0,
+    seed: int = 0,
+    frame: int = 0,
+    window: Window | None = None,
+    engine: str = "auto",
+    threads: int | None = None,
+    units_per_launch: int | None = None,
+) -> Estimated:
+    """Renders one frame with one view.
+
+    `settings`: of the method, without its name. `background` (h, w, 3) on the data window, black where
+    None. `half_code` as in `ShotFacts`.
+    """
+    window = window or Window(0, 0, camera.width, camera.height)
+    model = method.settings(name=method.name, spp=spp, **(settings or {}))
+    b = np.zeros((window.height, window.width, 3), np.float32) if background is None else background
+    g = np.asarray(tuple(gain), dtype=np.float64)
+    facts = ShotFacts(
+        scene=scene,
+        frames=(FrameFacts(frame, {"": camera}, {"": g}),),
+        windows={"": window},
+        settings=model,
+        layers=frozenset(needs),
+        half_code=half_code,
+    )
+    plan = make_plan(method.rules, facts, forced or {})
+    resolved = resolve_engine(engine)  # type: ignore[arg-type]
+    view = ViewOutput("", 0, window, camera.model, bool(np.any(camera.distortion != 0.0)))
+    outputs = Outputs((view,), frozenset(needs), seed, resolved)
+    pipeline = method.build(upload(scene, resolved), plan, model, outputs)
+    timing = TimingNode(method.name)
+    with Runner(threads, units_per_launch=units_per_launch) as runner:
+        renderer = FrameRenderer(runner, [Source("method", pipeline)], outputs, timing)
+        rendered = renderer.render(
+            frame, {"": ViewInput(camera, b, g)}, spp, tiles={"": plan.tiles[frame, ""]}
+        )
+    return Estimated(rendered.estimates[""]["method"], plan, timing, b)

@@ -1,0 +1,33 @@
+"""Effect rules of image-based lighting."""
+
+from __future__ import annotations
+
+from mrbatch.contracts import Rule, Verdict
+from mrbatch.effects.facts import ShotFacts
+from mrbatch.effects.surface_rules import (
+    DISTORTION,
+    ENVIRONMENT,
+    GLOSSY,
+    HOLDOUT,
+    TEXTURES,
+    VIRTUAL,
+    absent,
+    needed,
+)
+
+
+def _occlusion(facts: ShotFacts) -> Verdict:
+    if not facts.settings.occlusion:
+        return absent("the method's `occlusion` is not set: nothing blocks the map's light")
+    return needed("surfaces block the map's light on virtual ones")
+
+
+RULES = (
+    VIRTUAL,
+    Rule("occlusion", "light of the map that surfaces block on virtual objects", _occlusion),
+    GLOSSY,
+    TEXTURES,
+    HOLDOUT,
+    DISTORTION,
+    ENVIRONMENT,
+)

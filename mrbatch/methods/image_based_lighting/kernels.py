@@ -1,0 +1,156 @@
+"""The kernel of image-based lighting: one scattering on virtual objects, light from the map alone.
+
+Debevec, *Rendering Synthetic Objects into Real Scenes* (1998), without its differential part: the
+baseline against which every method that changes the real scene is compared.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from mrbatch.device.rays import FAR, Engine, rays
+from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
+from mrbatch.kernels.bsdf import make_bsdf
+from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.environment import make_environment
+from mrbatch.kernels.numerics import (
+    balance_heuristic,
+    max_component,
+    offset_origin,
+    orthonormal_basis,
+    to_local,
+    to_world,
+)
+from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.sampling import make_pixel_filter
+from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, SceneData, surface_point
+from mrbatch.scene.shading import ShadingFlags, make_surface
+
+DIM_PIXEL = wp.constant(wp.int32(0))
+DIM_LIGHT = wp.constant(wp.int32(8))
+DIM_SCATTER = wp.constant(wp.int32(9))
+
+
+@dataclass(frozen=True)
+class Flags:
+    """What a shot calls for; each that is off leaves no code in the kernel."""
+
+    engine: Engine = "embree"
+    bsdf_kinds: frozenset[str] = frozenset({"diffuse"})
+    masking: str = "height-correlated"
+    camera_model: str = "perspective"
+    distortion: bool = False
+    interpolation: str = "bilinear"
+    sampler: str = "owen"
+    pixel_filter: str = "box"
+    strategy: str = "mis"
+    shading: ShadingFlags = ShadingFlags()
+    occlusion: bool = False
+
+
+@functools.cache
+def make_kernel(flags: Flags) -> Any:
+    """The kernel for these flags: adds samples of one half to the film, one thread a pixel."""
+    trace, occluded = rays(flags.engine).trace, rays(flags.engine).occluded
+    bsdf = make_bsdf(flags.bsdf_kinds, masking=flags.masking)  # type: ignore[arg-type]
+    bsdf_evaluate, bsdf_pdf, bsdf_sample = bsdf.evaluate, bsdf.pdf, bsdf.sample
+    camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
+    camera_ray = camera.ray
+    environment = make_environment(flags.interpolation)  # type: ignore[arg-type]
+    env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
+    sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
+    sample_2d, sample_2d_precise = sampler.sample_2d, sampler.sample_2d_precise
+    pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
+    surface_at = make_surface(flags.shading, camera)
+    sample_light = flags.strategy in ("mis", "environment")
+    sample_scatter = flags.strategy in ("mis", "bsdf")
+    weigh = flags.strategy == "mis"
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def image_based_lighting(
+        scene: SceneData,
+        frame: FrameParams,
+        film: FilmData,
+        units: wp.array(dtype=wp.int32),
+        first_unit: int,
+        half: int,
+        first_sample: int,
+        samples: int,
+        counters: wp.array(dtype=wp.int64),
+    ):
+        thread = wp.tid()
+        pixel = film_pixel(film, units[first_unit + (thread >> 8)], thread & 255)
+        if pixel.index < 0:
+            return
+        key = pixel_key(frame.seed, frame.frame, frame.view, half, pixel.x, pixel.y)
+        total = film_load(film, half, pixel.index)
+        shadow_rays = int(0)
+        lookups = int(0)
+        vertices = int(0)
+        nothing = wp.vec3(0.0, 0.0, 0.0)
+        for n in range(samples):
+            index = first_sample + n
+            shift = pixel_filter(sample_2d(key, index, DIM_PIXEL))
+            primary = camera_ray(
+                frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
+            )
+            value = wp.vec3(0.0, 0.0, 0.0)
+            covered = float(0.0)
+            hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
+            if primary.ok and hit.triangle >= 0:
+                point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
+                here = scene.objects[point.object].flags
+                if (here & VIRTUAL) != 0 and (here & HOLDOUT) == 0:
+                    covered = 1.0
+                    vertices += 1
+                    surface = surface_at(scene, frame.photo, point)
+                    basis = orthonormal_basis(point.ns)
+                    wo = to_local(basis, -primary.direction)
+                    if wp.static(sample_light):
+                        light = env_sample(scene.environment, sample_2d_precise(key, index, DIM_LIGHT))
+                        if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                            wi = to_local(basis, light.direction)
+                            f = bsdf_evaluate(surface, wo, wi)
+                            open = max_component(f) > 0.0
+                            if wp.static(flags.occlusion):
+                                if open:
+                                    shadow_rays += 1
+                                    o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                                    open = not occluded(scene.all_set, o, light.direction, FAR)
+                            if open:
+                                lookups += 1
+                                w = 1.0 / light.pdf
+                                if wp.static(weigh):
+                                    w *= balance_heuristic(light.pdf, bsdf_pdf(surface, wo, wi))
+                                value += wp.cw_mul(f, light.radiance) * w
+                    if wp.static(sample_scatter):
+                        drawn = bsdf_sample(surface, wo, sample_2d(key, index, DIM_SCATTER))
+                        d = to_world(basis, drawn.wi)
+                        lit = max_component(drawn.weight) > 0.0 and wp.dot(point.ng, d) > 0.0
+                        if wp.static(flags.occlusion):
+                            if lit:
+                                shadow_rays += 1
+                                o = offset_origin(point.p, point.ng, d, point.reach)
+                                lit = not occluded(scene.all_set, o, d, FAR)
+                        if lit:
+                            lookups += 1
+                            w = 1.0
+                            if wp.static(weigh):
+                                w = balance_heuristic(drawn.pdf, env_pdf(scene.environment, d))
+                            value += wp.cw_mul(drawn.weight, env_radiance(scene.environment, d)) * w
+            total = film_add(
+                total, wp.cw_mul(value, frame.gain), covered, nothing, film.background[pixel.index]
+            )
+        film_store(film, half, pixel.index, total, samples)
+        wp.atomic_add(counters, 0, wp.int64(samples))
+        wp.atomic_add(counters, 1, wp.int64(shadow_rays))
+        wp.atomic_add(counters, 2, wp.int64(0))
+        wp.atomic_add(counters, 3, wp.int64(lookups))
+        wp.atomic_add(counters, 4, wp.int64(vertices))
+
+    return image_based_lighting

@@ -1,0 +1,77 @@
+"""From scene, plan and settings to the passes of image-based lighting."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mrbatch.contracts import Pass, Pipeline
+from mrbatch.effects.plan import Plan
+from mrbatch.film.binding import bind_view
+from mrbatch.film.first_hit import first_hit_buffers, first_hit_pass
+from mrbatch.film.outputs import FrameInput, Outputs
+from mrbatch.film.pixel_pass import pixel_pass
+from mrbatch.methods.image_based_lighting.kernels import Flags, make_kernel
+from mrbatch.methods.image_based_lighting.settings import ImageBasedLightingSettings
+from mrbatch.scene.counters import COUNTERS
+from mrbatch.scene.scene_data import DeviceScene
+from mrbatch.scene.shading import ShadingFlags
+
+
+def make_flags(
+    scene: DeviceScene, plan: Plan, settings: ImageBasedLightingSettings, outputs: Outputs
+) -> Flags:
+    """What the kernel of this shot contains."""
+    kinds = {"diffuse"}
+    if plan.on("glossy"):
+        kinds |= {o.material.kind for o in scene.scene.virtual}
+    view = outputs.views[0]
+    return Flags(
+        engine=scene.engine,
+        bsdf_kinds=frozenset(kinds),
+        masking=settings.masking,
+        camera_model=view.model,
+        distortion=view.distortion and plan.on("lens-distortion"),
+        interpolation=scene.scene.environment.interpolation,
+        sampler=settings.sampler,
+        pixel_filter=settings.pixel_filter,
+        strategy=settings.strategy,
+        shading=ShadingFlags(textures=plan.on("textures")),
+        occlusion=plan.on("occlusion"),
+    )
+
+
+def build(scene: DeviceScene, plan: Plan, settings: ImageBasedLightingSettings, outputs: Outputs) -> Pipeline:
+    """The pipeline of one shot."""
+    flags = make_flags(scene, plan, settings, outputs)
+    refine: list[Pass] = []
+    finish: list[Pass] = []
+    buffers: list[Any] = []
+    if plan.on("virtual"):
+        kernel = make_kernel(flags)
+        for view in outputs.views:
+            layout = outputs.layout(view)
+            refine.append(
+                pixel_pass(
+                    f"image-based lighting {view.name}".strip(),
+                    view,
+                    kernel,
+                    lambda context, name=view.name: [scene.data, *context.bound[name][:2]],
+                    writes=tuple(b.name for b in layout.buffers()),
+                    counters=COUNTERS,
+                    device=outputs.device,
+                )
+            )
+            step = first_hit_pass(
+                scene, view, outputs, flags.shading, flags.distortion, settings.pixel_filter
+            )
+            if step is not None:
+                finish.append(step)
+                buffers.extend(first_hit_buffers(view, outputs))
+
+    def bind(frame: FrameInput) -> Mapping[str, Any]:
+        return {view.name: bind_view(scene, outputs, view, frame, photo=False) for view in outputs.views}
+
+    return Pipeline(
+        refine=tuple(refine), finish=tuple(finish), buffers=tuple(buffers), batch=settings.batch, bind=bind
+    )
