@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from mrbatch.errors import JobError, Place
 
-_PART = re.compile(r"^(?P<first>\d{1,9})(?P<dash>-(?P<last>\d{1,9})?)?(?:x(?P<step>\d{1,9}))?$")
+_PART = re.compile(r"^(?P<first>[0-9]{1,9})(?P<dash>-(?P<last>[0-9]{1,9})?)?(?:x(?P<step>[0-9]{1,9}))?$")
 _SYNTAX = "write numbers and ranges divided by commas, such as `1001-1100x2,1200` or `1001-`"
 
 

@@ -144,13 +144,16 @@ def _bar(stream: IO[str]) -> Iterator[tell.EventSink]:
     task = bar.add_task("starting", total=None, left="")
     done = 0.0
 
+    def say(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
     def sink(event: tell.Event) -> None:
         nonlocal done
         match event:
             case tell.Started():
                 bar.update(task, total=event.frames, description=escape(event.job))
                 if event.found:
-                    console.print(escape(event.found))
+                    say(event.found)
             case tell.FrameStarted():
                 bar.update(task, description=f"frame {event.frame}")
             case tell.FrameProgress():
@@ -168,7 +171,7 @@ def _bar(stream: IO[str]) -> Iterator[tell.EventSink]:
                     bar.update(task, description="done" if event.exit_code == 0 else "ended", left="")
                 text = event_text(event)
                 if text:
-                    console.print(escape(text))
+                    say(text)
 
     with bar:
         yield sink
