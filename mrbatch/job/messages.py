@@ -36,6 +36,8 @@ _EXPECTED = {
     "none_required": "nothing (null)",
 }
 _WORDS = ("literal_error", "enum")
+MAX_LISTED = 8
+"""Choices that a sentence lists; more of them go into the hint."""
 NEAR = 0.65
 """Least likeness (of `difflib`, 0..1) at which a word is offered for another."""
 
@@ -72,7 +74,7 @@ class _Finding:
         at = data
         last = len(error["loc"]) - 1
         for i, part in enumerate(error["loc"]):
-            if isinstance(at, (dict, list)) and _holds(at, part):
+            if _holds(at, part):
                 at = at[part]
             elif i == last and self.type == "missing":
                 at = None
@@ -191,8 +193,12 @@ def _convert(finding: _Finding, document: Document, model: type[BaseModel]) -> J
     if kind in _WORDS:
         choices = _choices(context.get("expected", ""))
         text = f"expected {_one_of(choices)}, got {_got(value)}"
+        if len(choices) > MAX_LISTED:
+            text = f"unknown value {_got(value)}"
         near = difflib.get_close_matches(str(value), choices, n=1, cutoff=NEAR)
         hint = f"did you mean `{near[0]}`?" if near else None
+        if len(choices) > MAX_LISTED and not near:
+            hint = f"known: {', '.join(choices)}"
     elif kind == "problem":
         text = str(context.get("message", finding.message))
         hint = context.get("hint")
@@ -287,7 +293,7 @@ def _expand(annotation: Any, metadata: Sequence[Any], value: Any) -> list[Any]:
 def _models_at(model: type[BaseModel], loc: Loc, data: Any) -> list[type[BaseModel]]:
     found: list[Any] = [model]
     for part in loc:
-        data = data[part] if isinstance(data, (dict, list)) and _holds(data, part) else None
+        data = _at(data, (part,)) if _holds(data, part) else None
         step: list[Any] = []
         for kind in found:
             if isinstance(kind, type) and issubclass(kind, BaseModel):
@@ -317,7 +323,7 @@ def _at(data: Any, loc: Loc) -> Any:
 def _holds(data: Any, part: str | int) -> bool:
     if isinstance(data, dict):
         return part in data
-    return isinstance(part, int) and part < len(data)
+    return isinstance(data, list) and isinstance(part, int) and part < len(data)
 
 
 def _literals(kind: type[BaseModel]) -> dict[str, tuple[Any, ...]]:

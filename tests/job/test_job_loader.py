@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from mrbatch.errors import EXIT_USAGE, JobErrors
 from mrbatch.job import check_files, load_job, parse_job
@@ -324,3 +326,54 @@ def test_byte_order_mark_and_crlf(sample, tmp_path):
     file = tmp_path / "job.yaml"
     file.write_bytes(b"\xef\xbb\xbf" + sample.replace("\n", "\r\n").encode())
     assert load_job(file).virtual[1].name == "ball"
+
+
+WORDS = "|~|[]|{}|3|-1e400|.inf|60 mm|photo|on|[[1]]|{a: 1}|null|'x y'|*a|- ".split("|")
+    "",
+    "~",
+    "[]",
+    "{}",
+    "3",
+    "-1e400",
+    ".inf",
+    "60 mm",
+    "photo",
+    "on",
+    "[[1]]",
+    "{a: 1}",
+    "null",
+    "'x y'",
+    "*a",
+    "- ",
+]
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_any_change_of_a_job_gives_a_job_or_errors_with_places(sample, data):
+    text = sample
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(text)))
+        end = min(len(text), start + data.draw(st.integers(0, 20)))
+        text = text[:start] + data.draw(st.sampled_from(WORDS)) + text[end:]
+    try:
+        parse_job(text, FILE)
+    except JobErrors as found:
+        for error in found.errors:
+            assert error.place.line and error.place.column, error
+            assert "Input should" not in str(error) and "validator" not in str(error)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_any_value_at_any_place_gives_a_job_or_errors(sample, data):
+    paths = ["virtual", "virtual.0", "virtual.0.material", "virtual.0.transform.scale", "virtual.1.sphere",
+             "real.1.reflectance", "real.0.plane.size", "capture", "capture.gain", "capture.marker", "method",
+             "method.name", "participants", "participants.0", "output", "output.layers", "output.pattern",
+             "effects", "frames", "environment", "environment.world_from_map", "name", "seed"]  # fmt: skip
+    override = f"{data.draw(st.sampled_from(paths))}={data.draw(st.sampled_from(WORDS))}"
+    try:
+        parse_job(sample, FILE, [override])
+    except JobErrors as found:
+        # Most point at the option; a few at what it leaves without sense, such as an effect's name.
+        assert found.errors and all(error.place.file for error in found.errors)
