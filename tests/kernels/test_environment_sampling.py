@@ -1,0 +1,431 @@
+"""Look-ups and samples of an environment map against the house formula in float64 and statistics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy import stats
+
+from mrbatch.kernels.environment import EnvironmentData, make_environment
+from mrbatch.scene.environment import Environment, load_environment, rotation_from_yaw
+
+wp.config.quiet = True
+SHAPES = [(1, 1), (1, 2), (5, 3), (1, 7), (2, 2), (8, 16), (33, 65)]
+MAPS = ["st_fagans_interior_1k", "lebombo_1k", "rooitou_park_1k", "moonless_golf_1k"]
+
+
+def make_kernels(interpolation):
+    functions = make_environment(interpolation)
+    radiance, pdf, sample = functions.radiance, functions.pdf, functions.sample
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def look(
+        env: EnvironmentData,
+        d: wp.array(dtype=wp.vec3),
+        light: wp.array(dtype=wp.vec3),
+        density: wp.array(dtype=float),
+    ):
+        i = wp.tid()
+        light[i] = radiance(env, d[i])
+        density[i] = pdf(env, d[i])
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def draw(
+        env: EnvironmentData,
+        u: wp.array(dtype=wp.vec2d),
+        d: wp.array(dtype=wp.vec3),
+        light: wp.array(dtype=wp.vec3),
+        density: wp.array(dtype=float),
+    ):
+        i = wp.tid()
+        s = sample(env, u[i])
+        d[i] = s.direction
+        light[i] = s.radiance
+        density[i] = s.pdf
+
+    return look, draw
+
+
+KERNELS = {name: make_kernels(name) for name in ("bilinear", "nearest")}
+
+
+def look(environment, d):
+    """Radiance (n, 3) and density (n,) in world directions (n, 3)."""
+    d = wp.array(np.ascontiguousarray(d, dtype=np.float32), dtype=wp.vec3, device="cpu")
+    light, density = wp.zeros_like(d), wp.zeros(len(d), dtype=float, device="cpu")
+    kernel = KERNELS[environment.interpolation][0]
+    wp.launch(kernel, len(d), inputs=[environment.upload(), d], outputs=[light, density], device="cpu")
+    return light.numpy(), density.numpy()
+
+
+def draw(environment, u):
+    """Directions, radiance, density for u (n, 2) float64; numbers of 32 bits when `u` is a count."""
+    if isinstance(u, int):
+        bits = np.random.default_rng(99).integers(0, 2**32, size=(u, 2))
+        u = (bits + 0.5) * 2.0**-32
+    u = wp.array(np.ascontiguousarray(u, dtype=np.float64), dtype=wp.vec2d, device="cpu")
+    d = wp.zeros(len(u), dtype=wp.vec3, device="cpu")
+    light, density = wp.zeros_like(d), wp.zeros(len(u), dtype=float, device="cpu")
+    kernel = KERNELS[environment.interpolation][1]
+    wp.launch(kernel, len(u), inputs=[environment.upload(), u], outputs=[d, light, density], device="cpu")
+    return d.numpy(), light.numpy(), density.numpy()
+
+
+def random_map(height, width, seed=0, contrast=2.0):
+    random = np.random.default_rng(seed)
+    return (10.0 ** random.uniform(-contrast, 0.0, (height, width, 3))).astype(np.float32)
+
+
+def directions(count, seed=0):
+    d = np.random.default_rng(seed).normal(size=(count, 3))
+    return (d / np.linalg.norm(d, axis=1)[:, None]).astype(np.float32)
+
+
+def house_uv(d):
+    d = np.asarray(d, dtype=np.float64)
+    d = d / np.linalg.norm(d, axis=-1, keepdims=True)
+    u = 0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2.0 * np.pi)
+    return u, np.arccos(np.clip(d[..., 2], -1.0, 1.0)) / np.pi
+
+
+def reference(radiance, rows, d):
+    """The convention in plain float64: wrap columns, clamp rows, bilinear between texels."""
+    height, width = radiance.shape[:2]
+    u, v = house_uv(d)
+    column = u * width - 0.5
+    row = v * height - 0.5 if rows == "centres" else v * (height - 1)
+    row = np.clip(row, 0.0, height - 1.0)
+    c, r = np.floor(column).astype(int), np.minimum(np.floor(row).astype(int), max(height - 2, 0))
+    fx, fy = (column - c)[:, None], (row - r)[:, None]
+    below = np.minimum(r + 1, height - 1)
+    image = radiance.astype(np.float64)
+    top = image[r, c % width] * (1 - fx) + image[r, (c + 1) % width] * fx
+    bottom = image[below, c % width] * (1 - fx) + image[below, (c + 1) % width] * fx
+    return top * (1 - fy) + bottom * fy
+
+
+def lamp(height, width, row, column, value=1.0):
+    image = np.zeros((height, width, 3), dtype=np.float32)
+    image[row, column] = value
+    return image
+
+
+def mean_and_error(values):
+    return values.mean(axis=0), values.std(axis=0) / np.sqrt(len(values))
+
+
+SPECIAL = np.array(
+    [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [-1, 1e-7, 0], [-1, -1e-7, 0], [0, 1, 0], [1e-4, 0, 1]]
+)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("rows", ["centres", "endpoints"])
+def test_radiance_follows_the_convention(shape, rows):
+    if rows == "endpoints" and shape[0] < 2:
+        pytest.skip("a map of one row has no end points")
+    image = random_map(*shape)
+    d = np.concatenate([directions(20000), SPECIAL.astype(np.float32)])
+    light, _ = look(Environment(image, rows), d)
+    # Directions are float32: their u, v are good to 2e-7, and a cell spans 1 / size.
+    assert np.abs(light - reference(image, rows, d)).max() < 1e-6 * max(shape) + 1e-6
+
+
+def test_nearest_follows_the_convention():
+    image = random_map(9, 14)
+    d = directions(20000)
+    light, _ = look(Environment(image, interpolation="nearest"), d)
+    u, v = house_uv(d)
+    expected = image[np.floor(v * 9).astype(int), np.floor(u * 14).astype(int)]
+    assert (light == expected).all(axis=1).mean() > 0.999, "only directions on an edge may differ"
+
+
+@pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_constant_map_has_constant_density(shape, interpolation):
+    """ENV-04: p = 1 / (4 pi) to 1e-6, at the poles too (TRAP-2d: without sine 326 times too dense)."""
+    environment = Environment(np.full((*shape, 3), 0.7, dtype=np.float32), interpolation=interpolation)
+    d, light, density = draw(environment, 20000)
+    assert np.abs(density * 4.0 * np.pi - 1.0).max() < 1e-6
+    assert np.allclose(light, 0.7, rtol=1e-6)
+    assert np.abs(np.linalg.norm(d, axis=1) - 1.0).max() < 3e-7
+    _, density = look(environment, np.concatenate([directions(2000), SPECIAL]))
+    assert np.abs(density * 4.0 * np.pi - 1.0).max() < 1e-6
+
+
+def test_density_without_sine_fails_at_the_poles():
+    """TRAP-2d, printed: p = p_uv of texels weighted by luminance alone."""
+    height = 512
+    v = (np.arange(height) + 0.5) / height
+    printed = 1.0 / (2.0 * np.pi**2 * np.sin(np.pi * v)) * 4.0 * np.pi
+    assert 150.0 < printed[0] < 450.0
+    _, density = look(Environment(np.ones((height, 1, 3), dtype=np.float32)), [[np.sin(np.pi * v[0]), 0, 1]])
+    assert abs(density[0] * 4.0 * np.pi - 1.0) < 1e-6
+
+
+@pytest.mark.parametrize("rows", ["centres", "endpoints"])
+@pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
+def test_sample_agrees_with_look_up_and_density(rows, interpolation):
+    """The radiance and density of a sample are those of its direction, but on edges of cells."""
+    turn = rotation_from_yaw(0.4) @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    environment = Environment(random_map(17, 40), rows, turn, interpolation)
+    d, light, density = draw(environment, 50000)
+    seen, again = look(environment, d)
+    assert (np.abs(again / density - 1.0) < 1e-5).mean() > 0.999
+    assert (np.abs(seen - light).max(axis=1) < 1e-4).mean() > 0.999
+    uniform = look(environment, directions(200000, 5))[1]
+    mean, error = mean_and_error(uniform.astype(np.float64) * 4.0 * np.pi)
+    assert abs(mean - 1.0) < 4.0 * error
+
+
+def bins_of(environment, d, across, down):
+    """Counts of directions in equal steps of u and cos theta."""
+    local = d.astype(np.float64) @ environment.world_from_map
+    u, _ = house_uv(local)
+    z = local[:, 2] / np.linalg.norm(local, axis=1)
+    x = np.minimum((u * across).astype(int), across - 1)
+    y = np.clip((0.5 * (1.0 - z) * down).astype(int), 0, down - 1)
+    return np.bincount(y * across + x, minlength=across * down)
+
+
+def overlap(edges, bins):
+    """(bins, n): share of each interval of `edges` that falls in each of equal bins of [0, 1]."""
+    low, high = edges[:-1], edges[1:]
+    starts = np.arange(bins)[:, None] / bins
+    shared = np.minimum(high, starts + 1.0 / bins) - np.maximum(low, starts)
+    return np.maximum(shared, 0.0) / (high - low)
+
+
+def expected_bins(environment, across, down):
+    """Exact probabilities of the bins: densities are constant over (u, cos theta) in a cell."""
+    t = environment.tables()
+    rows, columns = t.weight.shape
+    probability = t.weight / t.weight.sum()
+    u = (np.arange(columns + 1) - t.column_offset) / columns
+    row = overlap(0.5 * (1.0 - t.row_z), down)
+    # The first cell of a bilinear map lies across the seam.
+    column = overlap(u, across) + overlap(u + 1.0, across)
+    return (row @ probability @ column.T).ravel()
+
+
+def chi_square(counts, probability):
+    total = counts.sum()
+    order = np.argsort(probability)
+    expected, counts = probability[order] * total, counts[order]
+    # Bins with few expected draws are pooled, the emptiest first.
+    few = int(np.searchsorted(np.cumsum(expected), 10.0)) + 1
+    few = max(few, int(np.searchsorted(expected, 5.0)))
+    expected = np.append(expected[few:], expected[:few].sum())
+    counts = np.append(counts[few:], counts[:few].sum())
+    if expected[-1] < 5.0:
+        assert counts[-1] <= 30
+        expected, counts = expected[:-1], counts[:-1]
+    return stats.chisquare(counts, expected * counts.sum() / expected.sum()).pvalue
+
+
+@pytest.mark.parametrize("rows", ["centres", "endpoints"])
+@pytest.mark.parametrize(
+    ("shape", "interpolation"), [((5, 3), "bilinear"), ((31, 64), "bilinear"), ((20, 48), "nearest")]
+)
+def test_chi_square(shape, rows, interpolation):
+    image = random_map(*shape, seed=3)
+    image[2] = 0.0
+    image[1, 1] = 30.0
+    environment = Environment(image, rows, rotation_from_yaw(1.0), interpolation)
+    d, _, _ = draw(environment, 500000)
+    assert chi_square(bins_of(environment, d, 64, 32), expected_bins(environment, 64, 32)) > 1e-4
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", MAPS)
+def test_chi_square_and_light_of_real_maps(shared_data, name):
+    environment = load_environment(shared_data / "environments" / name / f"{name}.exr")
+    d, light, density = draw(environment, 600_000)
+    assert chi_square(bins_of(environment, d, 64, 32), expected_bins(environment, 64, 32)) > 1e-4
+    # Two closed sums of the light: by the sampler, and by texels in float64.
+    mean, error = mean_and_error(light / density[:, None].astype(np.float64))
+    assert (np.abs(mean - environment.fluence()) < 4.0 * error).all()
+    # TRAP-2a: the light in discs of 5 degrees, anywhere.
+    axes = directions(24, 4).astype(np.float64)
+    inside = (d.astype(np.float64) @ axes.T) > np.cos(np.radians(5.0))
+    value = light[:, 1] / density
+    grid_d, grid_weight = sphere_grid(768, 1536)
+    truth_light = reference(environment.radiance, "centres", grid_d)[:, 1] * grid_weight
+    for index in range(24):
+        sample = np.where(inside[:, index], value, 0.0)
+        mean, error = mean_and_error(sample)
+        truth = truth_light[(grid_d @ axes[index]) > np.cos(np.radians(5.0))].sum()
+        # The grid puts the rim of a disc within a third of its own steps.
+        assert abs(mean - truth) < 4.5 * error + 0.01 * truth
+
+
+def sphere_grid(rows, columns):
+    """Midpoints of equal steps in theta and phi, with their exact solid angles."""
+    theta = (np.arange(rows) + 0.5) * np.pi / rows
+    phi = (np.arange(columns) + 0.5) * 2.0 * np.pi / columns - np.pi
+    theta, phi = (v.ravel() for v in np.meshgrid(theta, phi, indexing="ij"))
+    half = 0.5 * np.pi / rows
+    weight = 2.0 * np.sin(theta) * np.sin(half) * 2.0 * np.pi / columns
+    d = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+    return d, weight
+
+
+def test_stored_sample_map_never_draws_most_texels():
+    """TRAP-2a, printed: W x H inverted points are a fixed set. Ours reaches every lit bin."""
+    image = random_map(64, 128, contrast=1.0)
+    image[20, 30] = 3e5
+    weight = image.mean(axis=2) * np.sin(np.pi * (np.arange(64) + 0.5) / 64)[:, None]
+    row_cdf = np.cumsum(weight.sum(axis=1)) / weight.sum()
+    column_cdf = np.cumsum(weight, axis=1) / weight.sum(axis=1, keepdims=True)
+    row = np.searchsorted(row_cdf, (np.arange(64) + 0.5) / 64)
+    stored = {(r, c) for r in row for c in np.searchsorted(column_cdf[r], (np.arange(128) + 0.5) / 128)}
+    assert len(stored) < 0.5 * image.shape[0] * image.shape[1]
+    rows_drawn = np.unique(row).size
+    assert rows_drawn < 32
+    environment = Environment(image)
+    d, light, density = draw(environment, 1_000_000)
+    away = d[:, 2] < -0.5
+    mean, error = mean_and_error(np.where(away, light[:, 1] / density, 0.0))
+    grid_d, grid_weight = sphere_grid(1024, 1024)
+    truth = (reference(image, "centres", grid_d)[:, 1] * grid_weight)[grid_d[:, 2] < -0.5].sum()
+    assert abs(mean - truth) < 4.0 * error + 1e-3 * truth
+    assert error < 0.05 * truth
+
+
+def test_samples_lie_on_lamps_beside_the_seam():
+    """TRAP-2b: a linear read of stored directions invents some between lamps at azimuth +-179 deg."""
+    width = 360
+    image = lamp(180, width, 90, 0) + lamp(180, width, 90, width - 1)
+    d, light, density = draw(Environment(image), 20000)
+    azimuth = np.degrees(np.arctan2(d[:, 1].astype(np.float64), d[:, 0]))
+    assert (np.abs(azimuth) > 178.0 - 1e-4).all()
+    assert (light.max(axis=1) >= 0.0).all() and (density > 0.0).all()
+    stored = np.array([179.5, -179.5])
+    assert abs(stored.mean()) < 1.0, "printed: half way between the two is the other side of the world"
+
+
+def test_no_draw_where_no_light_is():
+    """ENV-02: black rows are never drawn, u = 0 included; a black map gives density and radiance 0."""
+    image = random_map(16, 32)
+    image[:5] = 0.0
+    image[12:] = 0.0
+    image[:, :7] = 0.0
+    environment = Environment(image, "centres")
+    u = np.random.default_rng(0).random((50000, 2))
+    u[:200, 0] = 0.0
+    u[100:300, 1] = 0.0
+    u[300:400] = 1.0 - 2.0**-33
+    d, light, density = draw(environment, u)
+    x, v = house_uv(d)
+    assert (v > 4.5 / 16 - 1e-6).all() and (v < 12.5 / 16 + 1e-6).all()
+    assert ((x > 6.5 / 32 - 1e-6) | (x < 0.5 / 32 + 1e-6)).all()
+    assert (density > 0.0).all() and np.isfinite(light).all()
+    # u = 0 is the rim of the first lit cell, where the tent is still 0.
+    assert (light[400:].max(axis=1) > 0.0).mean() > 0.999
+    dark = Environment(np.zeros((4, 8, 3), dtype=np.float32))
+    d, light, density = draw(dark, 1000)
+    assert (light == 0.0).all() and (density == 0.0).all() and np.isfinite(d).all()
+    light, density = look(dark, directions(100))
+    assert (light == 0.0).all() and (density == 0.0).all()
+
+
+def test_density_is_positive_wherever_light_is():
+    """Any channel counts: a blue lamp has little luminance, a lamp's tent reaches over three texels."""
+    image = lamp(16, 32, 7, 0, (0.0, 0.0, 5.0)) + lamp(16, 32, 0, 9, (0.0, 2.0, 0.0))
+    for rows in ("centres", "endpoints"):
+        light, density = look(Environment(image, rows), directions(200000))
+        assert (density[light.max(axis=1) > 0.0] > 0.0).all()
+
+
+@pytest.mark.parametrize("normal", [[0, 0, 1], [1, 0, 0], [0.6, 0, 0.8]])
+def test_two_strong_texels(normal):
+    """ENV-01: irradiance by light samples against a float64 sum on a dense grid."""
+    image = np.full((32, 64, 3), 1e-3, dtype=np.float32)
+    image[6, 31] = image[9, 33] = 1e5
+    d, light, density = draw(Environment(image), 400000)
+    cosine = np.maximum(d @ np.array(normal, dtype=np.float32), 0.0)
+    mean, error = mean_and_error(light[:, 0] * cosine / density.astype(np.float64))
+    grid_d, weight = sphere_grid(1024, 2048)
+    value = reference(image, "centres", grid_d)[:, 0] * np.maximum(grid_d @ np.array(normal), 0.0)
+    assert abs(mean / (value * weight).sum() - 1.0) < 1e-3 + 4.0 * error / mean
+
+
+def test_lamp_on_black_by_light_samples_alone():
+    """ENV-06 and TRAP-2c: bilinear radiance with a density constant in the texel loses 43.75 %.
+
+    A lamp of one texel on the equator has the tent's integral, one texel's solid angle times L.
+    """
+    height, width, row = 65, 128, 32
+    image = lamp(height, width, row, 40, 7.0)
+    d, light, density = draw(Environment(image), 400000)
+    # The tent over theta against sine: a second difference of the sine.
+    step = np.pi / height
+    centre = (row + 0.5) * step
+    omega = 2 * np.pi / width * (2 * np.sin(centre) - np.sin(centre - step) - np.sin(centre + step)) / step
+    mean, error = mean_and_error(light[:, 0] / density.astype(np.float64))
+    assert abs(mean / (7.0 * omega) - 1.0) < 1e-3 + 4.0 * error / mean
+    assert error / mean < 2e-3
+    u = np.random.default_rng(0).random((200000, 2))
+    theta = (row + u[:, 0]) * step
+    phi = 2 * np.pi * (0.5 - (40 + u[:, 1]) / width)
+    inside = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+    printed = reference(image, "centres", inside)[:, 0].mean() / 7.0
+    assert abs(printed - 0.5625) < 0.005
+
+
+@pytest.mark.parametrize("degrees", [0.0, 90.0, 37.3, -180.0])
+def test_turned_map_is_a_turned_world(degrees):
+    """ENV-07, with a lamp on the seam."""
+    image = random_map(16, 31) + lamp(16, 31, 8, 0, 5.0) + lamp(16, 31, 8, 30, 5.0)
+    yaw = np.radians(degrees)
+    c, s = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    d = directions(20000).astype(np.float64)
+    plain = look(Environment(image), d)[0]
+    turned = look(Environment(image, world_from_map=rotation_from_yaw(yaw)), d @ turn.T)[0]
+    assert np.abs(plain - turned).max() < 2e-4
+    u = np.random.default_rng(1).random((5000, 2))
+    before, after = draw(Environment(image), u), draw(Environment(image, world_from_map=turn), u)
+    assert np.abs(before[0] @ turn.T - after[0]).max() < 1e-6
+    assert np.array_equal(before[1], after[1]) and np.array_equal(before[2], after[2])
+
+
+@pytest.mark.parametrize(("row", "column"), [(3, 0), (20, 63), (31, 12)])
+@pytest.mark.parametrize("rows", ["centres", "endpoints"])
+def test_lamp_is_where_the_house_formula_says(row, column, rows):
+    """ENV-08: no flip in either axis; the look-up peaks at the node, samples gather round it."""
+    environment = Environment(lamp(32, 64, row, column), rows)
+    phi = 2.0 * np.pi * (0.5 - (column + 0.5) / 64)
+    theta = np.pi * ((row + 0.5) / 32 if rows == "centres" else row / 31)
+    d = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    assert abs(look(environment, d[None])[0][0, 0] - 1.0) < 2e-5
+    found = draw(environment, 4000)[0].astype(np.float64)
+    assert (found @ d > np.cos(2.0 * np.sqrt(2.0) * np.pi / 32)).all()
+
+
+def test_inversion_equals_a_search():
+    """Guides shorten the search and change nothing: `searchsorted` on the same tables."""
+    image = random_map(40, 90, contrast=6.0)
+    image[::3] = 0.0
+    image[:, 10:30] = 0.0
+    environment = Environment(image, "endpoints")
+    t = environment.tables()
+    random = np.random.default_rng(2)
+    u = random.random((100000, 2))
+    bins = t.column_guide.shape[1] - 1
+    u[:1000] = random.integers(0, bins, (1000, 2)) / bins
+    u[1000:2000, 0] = t.row_cdf[random.integers(0, t.row_cdf.size - 1, 1000)]
+    u = np.minimum(u, 1.0 - 2.0**-53)
+    row = np.searchsorted(t.row_cdf, u[:, 0], side="right") - 1
+    expected = np.empty(len(u))
+    for r in np.unique(row):
+        here = row == r
+        column = np.searchsorted(t.column_cdf[r], u[here, 1], side="right") - 1
+        expected[here] = t.pdf[r, column]
+    assert np.allclose(draw(environment, u)[2], expected, rtol=1e-6, atol=0.0)
+
+
+def test_unknown_interpolation_is_refused():
+    with pytest.raises(ValueError, match="bilinear or nearest"):
+        make_environment("cubic")
