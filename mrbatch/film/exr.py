@@ -26,7 +26,7 @@ from mrbatch.film.camera_metadata import (
 )
 from mrbatch.film.layers import channel_kind
 from mrbatch.film.window import Window
-from mrbatch.kernels.transfer import PRIMARIES
+from mrbatch.kernels.transfer import PRIMARIES, from_linear, to_linear
 from mrbatch.scene.camera import Camera
 
 ColourType = Literal["half", "float"]
@@ -74,21 +74,30 @@ class FrameImage:
 
 
 def choose_colour_type(
-    source_bits: int, peak: float, *, source_is_half: bool = False
+    source_bits: int, peak: float, *, transfer: str = "srgb", source_is_half: bool = False
 ) -> tuple[ColourType, str]:
     """The number type of colour for a whole sequence, and why.
 
-    Half keeps every 8- and 10-bit code of the usual transfer functions, and every half; it merges
-    some 12-bit codes and cannot hold light above 65504. `source_bits`: bits a channel of the captured
-    pictures; `peak`: the largest radiance that any light can bring into a picture, photo units.
+    Half for sources up to 10 bits whose every code it keeps (all but the steepest power, gamma28, with
+    10 bits) and for half floats; float above, for half merges some 12-bit codes, and wherever light
+    exceeds 65504. `source_bits`: bits a channel of the captured pictures, coded with `transfer`;
+    `peak`: the largest radiance that any light can bring into a picture, photo units. Raises
+    ValueError for an unknown transfer function.
     """
     if not peak <= HALF_MAX:  # so a NaN, too, gives float
         return "float", f"light of {peak:g} exceeds half's largest number, 65504"
     if source_is_half:
         return "half", "half floats in the source and no light above 65504: half keeps every value"
-    if source_bits <= 10:
-        return "half", f"{source_bits}-bit source and no light above 65504: half keeps every code"
-    return "float", f"{source_bits}-bit source: half would merge some of its codes"
+    if source_bits <= 10 and half_keeps_codes(source_bits, transfer):
+        return "half", f"{source_bits}-bit {transfer} source and no light above 65504: half keeps every code"
+    return "float", f"{source_bits}-bit {transfer} source: half would merge some of its codes"
+
+
+def half_keeps_codes(bits: int, transfer: str) -> bool:
+    """Whether each code comes back after its linear value was stored as half."""
+    codes = np.arange(2**bits, dtype=np.uint16)
+    stored = to_linear(codes, transfer, bits).astype(np.float16).astype(np.float32)
+    return bool(np.array_equal(from_linear(stored, transfer, bits), codes))
 
 
 def write_frame(path: Path, image: FrameImage, *, overflow: Literal["error", "clamp"] = "error") -> None:

@@ -31,7 +31,7 @@ from mrbatch.film.exr import (
     write_frame,
 )
 from mrbatch.film.window import Window
-from mrbatch.kernels.transfer import from_linear, to_linear
+from mrbatch.kernels.transfer import TRANSFERS, from_linear, to_linear
 from mrbatch.scene.camera import Camera
 
 
@@ -277,7 +277,7 @@ def test_key_order_of_metadata_does_not_show(tmp_path):
     assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
 
 
-@pytest.mark.parametrize("transfer", ["srgb", "bt709"])
+@pytest.mark.parametrize("transfer", [t for t in TRANSFERS if t != "gamma28"])
 @pytest.mark.parametrize("bits", [8, 10])
 def test_half_keeps_every_code_of_8_and_10_bits(transfer, bits):
     codes = np.arange(2**bits, dtype=np.uint16)
@@ -298,6 +298,8 @@ def test_choice_of_colour_type():
     assert choose_colour_type(8, 1.0)[0] == choose_colour_type(10, 65504.0)[0] == "half"
     assert choose_colour_type(12, 1.0)[0] == choose_colour_type(16, 1.0)[0] == "float"
     assert choose_colour_type(16, 900.0, source_is_half=True)[0] == "half"
+    assert choose_colour_type(8, 1.0, transfer="gamma28")[0] == "half"
+    assert choose_colour_type(10, 1.0, transfer="gamma28")[0] == "float", "two dark codes would merge"
     for peak in (69120.0, float("inf"), float("nan")):
         kind, why = choose_colour_type(8, peak)
         assert kind == "float" and "65504" in why
