@@ -328,24 +328,8 @@ def test_byte_order_mark_and_crlf(sample, tmp_path):
     assert load_job(file).virtual[1].name == "ball"
 
 
-WORDS = "|~|[]|{}|3|-1e400|.inf|60 mm|photo|on|[[1]]|{a: 1}|null|'x y'|*a|- ".split("|")
-    "",
-    "~",
-    "[]",
-    "{}",
-    "3",
-    "-1e400",
-    ".inf",
-    "60 mm",
-    "photo",
-    "on",
-    "[[1]]",
-    "{a: 1}",
-    "null",
-    "'x y'",
-    "*a",
-    "- ",
-]
+WORDS = ["", "~", "[]", "{}", "3", "-1e400", ".inf", "60 mm", "photo", "on", "[[1]]", "{a: 1}", "null"]
+WORDS += ["'x y'", "*a", "- "]
 
 
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
