@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import pytest
 from hypothesis import given, settings
@@ -55,13 +54,12 @@ def test_aliases_are_unfolded_and_refused_when_circular():
     assert "composer" not in (text := errors_of("a: *nowhere")[0].message) and "nowhere" in text
 
 
-def test_alias_bomb_ends_soon():
+def test_alias_bomb_is_refused():
+    # 9^12 values: a reader that unfolds them never gets here.
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
-    start = time.process_time()
     (error,) = errors_of("\n".join(lines))
     assert "aliases unfolded" in error.message
-    assert time.process_time() - start < 60  # 9^12 values would take days
 
 
 @pytest.mark.parametrize("opening", ["[", "{a: ", "- "])
