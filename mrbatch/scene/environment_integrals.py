@@ -9,17 +9,15 @@ a surface cuts need a rule in two dimensions.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from mrbatch.scene.environment import EnvironmentTables
+from mrbatch.scene.environment_tables import EnvironmentTables, Interpolation
 
 _COARSE_ROWS, _COARSE_COLUMNS = 32, 64
 _FINE_ROWS, _FINE_COLUMNS = 128, 256
 _ROW_BLOCK = 32
-_CONE_BLOCK = 1024
+_CONE_BLOCK = 256
 _ROUNDING = 1e-9
 """Relative room for float64 rounding in what must be a bound; sums of millions err by less."""
 
@@ -42,7 +40,7 @@ class EnvironmentIntegrals:
     Small maps are cut into at least 128 x 256 cells first: a part of a bilinear cell is bilinear.
     """
 
-    def __init__(self, tables: EnvironmentTables, interpolation: Literal["bilinear", "nearest"]):
+    def __init__(self, tables: EnvironmentTables, interpolation: Interpolation):
         rows, columns = tables.weight.shape
         nodes = tables.nodes
         theta = np.pi * np.clip((np.arange(rows + 1) - tables.row_offset) / tables.row_scale, 0.0, 1.0)
@@ -140,13 +138,15 @@ class EnvironmentIntegrals:
         row_edge = np.arange(_COARSE_ROWS + 1) * rows // _COARSE_ROWS
         column_edge = np.arange(_COARSE_COLUMNS + 1) * columns // _COARSE_COLUMNS
         energy = np.empty((_COARSE_ROWS, _COARSE_COLUMNS, 3))
-        largest = np.empty_like(energy)
+        largest = np.empty((_COARSE_ROWS, _COARSE_COLUMNS, 3), dtype=np.float32)
         for index in range(_COARSE_ROWS):
             block = slice(row_edge[index], row_edge[index + 1])
             light = self._moments(block, slice(3, 4))[..., 0].sum(axis=0)
             energy[index] = np.add.reduceat(light, column_edge[:-1], axis=0)
             peak = np.max([corner[block].max(axis=0) for corner in self.corners], axis=0)
-            largest[index] = np.maximum.reduceat(peak, column_edge[:-1], axis=0)
+            peak = np.maximum.reduceat(peak, column_edge[:-1], axis=0)
+            # Rounded up: corners of cut cells are float64.
+            largest[index] = np.nextafter(peak.astype(np.float32), np.float32(np.inf))
         theta, phi = self.theta[row_edge], self.phi[column_edge]
         centres = _directions(0.5 * (theta[1:] + theta[:-1])[:, None], 0.5 * (phi[1:] + phi[:-1])[None])
         radii = _radii(theta, phi)
@@ -159,18 +159,20 @@ class EnvironmentIntegrals:
         largest radiance in those cells times the cone's solid angle.
         """
         centres, radii, energy, largest = self._coarse
-        order = np.argsort(-largest, axis=0)
-        ranked = np.take_along_axis(largest, order, axis=0)
-        half = np.arccos(np.clip(cosine, -1.0, 1.0))
+        cosine = np.clip(cosine, -1.0, 1.0)
+        half = np.arccos(cosine)
+        # cos(half + radius) by the sum rule: two outer products in place of a cosine for each pair.
+        turn = np.stack([cosine, -np.sin(half)], axis=1)
+        cell = np.stack([np.cos(radii), np.sin(radii)])
         result = np.empty((len(axis), 3))
         for first in range(0, len(axis), _CONE_BLOCK):
             part = slice(first, first + _CONE_BLOCK)
-            reach = np.cos(np.minimum(half[part, None] + radii[None], np.pi))
-            touched = axis[part] @ centres.T >= reach - _ROUNDING
+            touched = axis[part] @ centres.T >= turn[part] @ cell - _ROUNDING
+            touched |= half[part, None] + radii >= np.pi
             light = touched.astype(np.float64) @ energy
-            omega = 2.0 * np.pi * (1.0 - np.clip(cosine[part], -1.0, 1.0))
+            omega = 2.0 * np.pi * (1.0 - cosine[part])
             for channel in range(3):
-                brightest = ranked[touched[:, order[:, channel]].argmax(axis=1), channel]
+                brightest = np.where(touched, largest[:, channel], np.float32(0.0)).max(axis=1)
                 light[:, channel] = np.minimum(light[:, channel], brightest * omega)
             result[part] = light * (1.0 + _ROUNDING)
         return result
