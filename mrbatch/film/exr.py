@@ -286,7 +286,7 @@ def read_frame(path: Path, *, max_values: int = MAX_VALUES) -> FrameImage:
         first = first or (spec, attributes)
     assert first is not None
     spec, attributes = first
-    rate = attributes.get("framesPerSecond") or attributes.get("FramesPerSecond")
+    rate = attributes.get("framesPerSecond")
     metadata = {k: v for k, v in _ours(attributes).items() if k not in ("camera", "frame")}
     return FrameImage(
         number=_ours(attributes).get("frame", 0),
@@ -296,7 +296,7 @@ def read_frame(path: Path, *, max_values: int = MAX_VALUES) -> FrameImage:
         colour_type="half" if str(spec.channelformat(0)) == "half" else "float",
         compression=attributes.get("compression", "zip"),
         frames_per_second=Fraction(*rate) if rate else None,
-        owner=attributes.get("Copyright", attributes.get("owner", "")),
+        owner=attributes.get("owner", ""),
         metadata=metadata,
     )
 
@@ -383,8 +383,17 @@ def _parts(path: Path, max_values: int | None) -> Iterable[tuple[Any, Any]]:
         source.close()
 
 
+_STANDARD_NAMES = {
+    "Copyright": "owner",
+    "FramesPerSecond": "framesPerSecond",
+    "PixelAspectRatio": "pixelAspectRatio",
+    "DateTime": "capDate",
+}
+"""The library's names of attributes to the format's own."""
+
+
 def _attributes(spec: Any) -> dict[str, Any]:
-    return {a.name: a.value for a in spec.extra_attribs}
+    return {_STANDARD_NAMES.get(a.name, a.name): a.value for a in spec.extra_attribs}
 
 
 def _ours(attributes: Mapping[str, Any]) -> dict[str, Any]:
