@@ -59,7 +59,8 @@ def from_description(values: Any) -> Camera | None:
     if not isinstance(values, dict):
         return None
     try:
-        arrays = {k: np.array(values[k], float) for k in ("matrix", "distortion", "world_from_camera")}
+        shapes = {"matrix": (3, 3), "distortion": (8,), "world_from_camera": (4, 4)}
+        arrays = {k: np.array(values[k], dtype=np.float64).reshape(shape) for k, shape in shapes.items()}
         return Camera(values["width"], values["height"], model=values["model"], **arrays)
     except (KeyError, TypeError, ValueError):
         return None

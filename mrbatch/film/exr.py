@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -276,8 +276,7 @@ def read_frame(path: Path, *, max_values: int = MAX_VALUES) -> FrameImage:
     """
     views: dict[str, ViewImage] = {}
     first: tuple[Any, dict[str, Any]] | None = None
-    for spec, pixels in _parts(path, max_values):
-        attributes = _attributes(spec)
+    for spec, attributes, pixels in _parts(path, max_values):
         view = attributes.get("view") or ("" if not views else f"part{len(views)}")
         ours = _ours(attributes)
         channels = {name: pixels[..., i] for i, name in enumerate(spec.channelnames)}
@@ -308,8 +307,7 @@ def frame_metadata(path: Path) -> dict[str, Any]:
     InputError as `read_frame` does.
     """
     parts = []
-    for spec, _ in _parts(path, None):
-        attributes = _attributes(spec)
+    for spec, attributes, _ in _parts(path, None):
         parts.append(
             {
                 "name": attributes.get("oiio:subimagename", ""),
@@ -339,7 +337,7 @@ def verify_frame(path: Path, channels: Iterable[str] | None = None) -> str:
     end, a channel is missing or a number is NaN or infinite.
     """
     wanted = set(channels or ())
-    for spec, pixels in _parts(path, MAX_VALUES):
+    for spec, _, pixels in _parts(path, MAX_VALUES):
         missing = sorted(wanted - set(spec.channelnames))
         if missing:
             raise InputError(f"channels {', '.join(missing)} are missing", place=Place(file=str(path)))
@@ -349,22 +347,24 @@ def verify_frame(path: Path, channels: Iterable[str] | None = None) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _parts(path: Path, max_values: int | None) -> Iterable[tuple[Any, Any]]:
-    """Each part's spec and its pixels (h, w, channels) float32, or None where `max_values` is None."""
+def _parts(path: Path, max_values: int | None) -> Iterator[tuple[Any, dict[str, Any], Any]]:
+    """Each part's spec, its attributes, and its pixels (h, w, channels) float32; no pixels for None."""
     import OpenImageIO as oiio
 
     place = Place(file=str(path))
     if not Path(path).is_file():
         raise InputError("there is no such file", place=place, hint="give the path of an EXR file")
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        raise InputError(f"cannot read the file: {oiio.geterror().strip()}", place=place)
+    source = None
     try:
+        source = oiio.ImageInput.open(str(path))
+        if source is None:
+            raise InputError(f"cannot read the file: {oiio.geterror().strip()}", place=place)
         if source.format_name() != "openexr":
             raise InputError(f"this is no EXR but {source.format_name()}", place=place)
         index = 0
         while source.seek_subimage(index, 0):
             spec = source.spec()
+            attributes = {_STANDARD_NAMES.get(a.name, a.name): a.value for a in spec.extra_attribs}
             pixels = None
             if max_values is not None:
                 if spec.width * spec.height * spec.nchannels > max_values:
@@ -376,11 +376,14 @@ def _parts(path: Path, max_values: int | None) -> Iterable[tuple[Any, Any]]:
                 error = source.geterror()
                 if pixels is None or error:
                     raise InputError(f"the pixels cannot be read: {error.strip()}", place=place)
-            yield spec, pixels
+            yield spec, attributes, pixels
             index += 1
         source.geterror()  # seeking past the last part leaves a message
+    except UnicodeDecodeError as error:  # from names, values, and messages that quote them
+        raise InputError("the header is broken: it holds text that is no UTF-8", place=place) from error
     finally:
-        source.close()
+        if source is not None:
+            source.close()
 
 
 _STANDARD_NAMES = {
@@ -392,10 +395,6 @@ _STANDARD_NAMES = {
 """The library's names of attributes to the format's own."""
 
 
-def _attributes(spec: Any) -> dict[str, Any]:
-    return {_STANDARD_NAMES.get(a.name, a.name): a.value for a in spec.extra_attribs}
-
-
 def _ours(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Values under `mrbatch/`, parsed; text that is no JSON is kept as it is."""
     parsed = {}
@@ -403,6 +402,6 @@ def _ours(attributes: Mapping[str, Any]) -> dict[str, Any]:
         if name.startswith(PREFIX):
             try:
                 parsed[name[len(PREFIX) :]] = json.loads(value)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, RecursionError):
                 parsed[name[len(PREFIX) :]] = value
     return parsed

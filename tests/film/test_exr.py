@@ -396,6 +396,25 @@ def test_broken_files_are_named(tmp_path):
         read_frame(path, max_values=1000)
 
 
+def test_damaged_headers_give_an_input_error_or_a_frame(tmp_path):
+    path = tmp_path / "f.exr"
+    write_frame(path, image(metadata={"plan": {"a": 1}}))
+    whole = path.read_bytes()
+    rng = np.random.default_rng(11)
+    refused = 0
+    for _ in range(150):
+        damaged = bytearray(whole)
+        for at in rng.integers(0, 2500, rng.integers(1, 12)):
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged)
+        for read in (frame_metadata, read_frame, verify_frame):
+            try:
+                read(path)
+            except InputError:
+                refused += 1
+    assert refused > 100
+
+
 def test_non_finite_files_do_not_pass_verification(tmp_path):
     import OpenImageIO as oiio
 
