@@ -227,7 +227,7 @@ def _table(
             if measured
             else "check the target's size, layout and the calibration",
         )
-    rows = _fill(rows, lost)
+    rows = fill_lost(rows, lost)
     return PoseTable(tuple(rows), float(np.median(good)), float(np.sqrt(noise2)), layout)
 
 
@@ -318,7 +318,7 @@ def _jump(a: Root, b: Root) -> float:
     return angle_between(p, q) + float(np.linalg.norm(p[:3, 3] - q[:3, 3]) / max(distance, 1e-12))
 
 
-def _fill(rows: list[FramePose], lost: LostPolicy) -> list[FramePose]:
+def fill_lost(rows: list[FramePose], lost: LostPolicy) -> list[FramePose]:
     """Frames without a pose, treated by the policy."""
     missing = [row for row in rows if row.world_from_camera is None]
     if not missing or lost == "skip":
