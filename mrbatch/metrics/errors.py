@@ -19,6 +19,7 @@ pictures are weighted by the cosine of the latitude, which is each pixel's share
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Literal
@@ -324,7 +325,7 @@ def _worst_tiles(maps, weights, origin) -> tuple[Scores, dict[str, tuple[int, in
         "ssim": -means["ssim"],
     }
     source |= {name: means[name] for name in ("flip_hdr", "flip_ldr") if name in means}
-    found: dict[str, float | None] = {"flip_hdr": None, "flip_ldr": None}
+    found: dict[str, float] = {}
     at = {}
     for name, values in source.items():
         i, j = np.unravel_index(int(np.argmax(values)), values.shape)
@@ -332,11 +333,17 @@ def _worst_tiles(maps, weights, origin) -> tuple[Scores, dict[str, tuple[int, in
         found[name] = float(values[i, j])
     # A tile has at most 256 pixels: less than one of them fits into 0.1 %.
     found["relmse_trimmed"], at["relmse_trimmed"] = found["relmse"], at["relmse"]
-    found["rmse"] = float(np.sqrt(found["rmse"]))
-    found["rmse_display"] = float(np.sqrt(found["rmse_display"]))
-    found["psnr"] = psnr(found["psnr"])
-    found["ssim"] = -found["ssim"]
-    return Scores(**found), at
+    worst = Scores(
+        relmse=found["relmse"],
+        relmse_trimmed=found["relmse_trimmed"],
+        rmse=math.sqrt(found["rmse"]),
+        rmse_display=math.sqrt(found["rmse_display"]),
+        psnr=psnr(found["psnr"]),
+        ssim=-found["ssim"],
+        flip_hdr=found.get("flip_hdr"),
+        flip_ldr=found.get("flip_ldr"),
+    )
+    return worst, at
 
 
 def psnr(mean_squared_error: float) -> float:

@@ -52,7 +52,7 @@ def region_of_interest(
     threshold = np.full(a.shape, share * mean)
     if deviation is not None:
         threshold = np.maximum(threshold, significance * np.asarray(deviation, np.float64).reshape(a.shape))
-    changed = (np.abs(a - b) > threshold).any(axis=2)
+    changed = np.any(np.abs(a - b) > threshold, axis=2)
     return dilate(changed, dilation, wraps=projection == "equirectangular")
 
 
@@ -92,7 +92,7 @@ def noisy_region_of_interest(
     a = np.asarray(with_objects, dtype=np.float64)
     b = np.asarray(without_objects, dtype=np.float64)
     if a.shape != b.shape:
-        return region_of_interest(a, b)  # raises
+        return region_of_interest(a, b)
     if a.ndim == 2:
         a, b = a[..., None], b[..., None]
     wraps = projection == "equirectangular"
@@ -100,8 +100,8 @@ def noisy_region_of_interest(
     smooth = uniform_filter(a - b, (window, window, 1), mode=mode)
     deviation = noise_deviation(a - b, wraps=wraps) / window
     # The mean of the pictures, not of their smoothed difference, scales the threshold.
-    mean = weighted_mean(np.abs(a).mean(axis=2), pixel_weights(*a.shape[:2], projection))
-    changed = (np.abs(smooth) > np.maximum(share * mean, significance * deviation)).any(axis=2)
+    mean = weighted_mean(np.abs(a).mean(axis=2), pixel_weights(a.shape[0], a.shape[1], projection))
+    changed = np.any(np.abs(smooth) > np.maximum(share * mean, significance * deviation), axis=2)
     changed = binary_opening(changed, np.ones((3, 3), bool))
     return dilate(changed, dilation, wraps=wraps)
 

@@ -61,7 +61,7 @@ def _suite(
     root: ElementTree.Element, name: str, tests: int, failures: int, skipped: int = 0
 ) -> ElementTree.Element:
     counts = {"tests": str(tests), "failures": str(failures), "errors": "0", "skipped": str(skipped)}
-    return ElementTree.SubElement(root, "testsuite", name=name, **counts)
+    return ElementTree.SubElement(root, "testsuite", {"name": name, **counts})
 
 
 def _clean(text: str) -> str:

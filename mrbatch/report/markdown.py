@@ -48,7 +48,8 @@ def write_markdown(report: Report, path: Path) -> None:
 
 def escape(text: object) -> str:
     """One line of plain text inside Markdown: markup characters lose their meaning."""
-    line = " ".join(str(text).split())
+    line = "".join(c if c.isprintable() else " " for c in str(text))
+    line = " ".join(line.split())
     line = line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     for character in "\\`*_{}[]|#!~":
         line = line.replace(character, "\\" + character)

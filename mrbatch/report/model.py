@@ -70,11 +70,15 @@ class File(_Model):
     bytes: int | None = None
 
 
+Scope = Literal["frame", "region", "tile"]
+"""The whole frame, the region of interest, the worst 16x16 tile."""
+
+
 class Score(_Model):
     """An image error against a reference, for one part of the frame."""
 
     metric: str
-    scope: Literal["frame", "region", "tile"]
+    scope: Scope
     value: Value
     at: tuple[int, int] | None = None
     """First pixel (x, y) of the worst tile."""
@@ -137,15 +141,18 @@ class Note(_Model):
     frame: int | None = None
 
 
+Role = Literal[
+    "composite", "photo", "delta", "error", "reference", "difference", "flip", "plot", "sheet", "other"
+]
+
+
 class Picture(_Model):
     """A picture to show, by its path relative to the report (or a name given to the drawer).
 
     `layer`: which layer of an EXR file; empty for its R, G, B.
     """
 
-    role: Literal[
-        "composite", "photo", "delta", "error", "reference", "difference", "flip", "plot", "sheet", "other"
-    ]
+    role: Role
     path: str
     layer: str = ""
     frame: int | None = None

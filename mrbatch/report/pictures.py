@@ -90,7 +90,7 @@ def read_picture(path: Path, layer: str = "", *, max_values: int = MAX_VALUES) -
         values = values[:, :, [i - first for i in chosen]]
     finally:
         source.close()
-    linear = to_linear(values, "srgb", integers) if integers else np.asarray(values, dtype=np.float32)
+    linear = to_linear(values, "srgb", integers) if integers else values.astype(np.float32)
     return LinearPicture(
         linear, (spec.x - spec.full_x, spec.y - spec.full_y), (spec.full_width, spec.full_height)
     )
@@ -192,7 +192,7 @@ def data_uri(codes: np.ndarray, *, width: int = 720, quality: int = 82, max_byte
         shrunk = picture
         if picture.shape[1] > width:
             size = (width, max(1, round(height * width / picture.shape[1])))
-            shrunk = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+            shrunk = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         data = cv2.imencode(".jpg", shrunk, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         if data.size <= max_bytes or width <= 64:
             return _uri("jpeg", data)

@@ -1,0 +1,180 @@
+"""`mrbatch metrics`: pictures against references."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+_FILE = click.Path(path_type=Path)
+_GATES = {
+    "max_relmse": "relmse",
+    "max_rmse": "rmse",
+    "min_psnr": "psnr",
+    "min_ssim": "ssim",
+    "max_flip": "flip_hdr",
+    "max_flip_ldr": "flip_ldr",
+}
+
+
+class Floats(click.ParamType):
+    """Numbers separated by commas."""
+
+    name = "numbers"
+
+    def __init__(self, *counts: int):
+        self.counts = counts
+
+    def convert(self, value, param, ctx):
+        if isinstance(value, tuple):
+            return value
+        try:
+            found = tuple(float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"cannot read `{value}`: expected numbers separated by commas", param, ctx)
+        if len(found) not in self.counts or not all(abs(f) < float("inf") for f in found):
+            wanted = " or ".join(str(c) for c in self.counts)
+            self.fail(f"expected {wanted} finite numbers separated by commas, got `{value}`", param, ctx)
+        return found
+
+
+@click.command("metrics")
+@click.argument("test", type=_FILE)
+@click.argument("reference", type=_FILE)
+@click.option("--without", type=_FILE, help="Reference without the virtual objects (file or folder).")
+@click.option(
+    "--roi",
+    metavar="auto|noisy|FILE",
+    help="Region of interest: where the references with and without objects differ (`noisy`: with "
+    "noise of their own), or a mask picture. `auto` where --without is given.",
+)
+@click.option(
+    "--gain",
+    type=Floats(1, 3),
+    default="1",
+    help="photo = gain x radiance; one number or three.",
+    show_default=True,
+)
+@click.option(
+    "--projection",
+    type=click.Choice(["perspective", "equirectangular"]),
+    default="perspective",
+    show_default=True,
+    help="360-degree pictures are weighted by solid angle.",
+)
+@click.option("--layer", default="", help="Layer of EXR files, such as `delta`; by default R, G, B.")
+@click.option(
+    "--exposures",
+    type=Floats(3),
+    help="HDR-FLIP's START,STOP,COUNT in stops; by default taken from each reference.",
+)
+@click.option("--flip/--no-flip", default=True, help="Compute FLIP (slower than all others together).")
+@click.option("--json", "json_file", type=_FILE, help="Write all figures as a report.json.")
+@click.option("--junit", type=_FILE, help="Write JUnit XML, a test case a gate.")
+@click.option("--html", type=_FILE, help="Write one page with pictures and error maps.")
+@click.option("--markdown", type=_FILE, help="Write Markdown.")
+@click.option("--max-relmse", type=float, help="Gate: exit code 1 where relMSE is larger.")
+@click.option("--max-rmse", type=float, help="Gate on RMSE, linear.")
+@click.option("--min-psnr", type=float, help="Gate on PSNR, dB.")
+@click.option("--min-ssim", type=float, help="Gate on SSIM.")
+@click.option("--max-flip", type=float, help="Gate on HDR-FLIP.")
+@click.option("--max-flip-ldr", type=float, help="Gate on LDR-FLIP.")
+@click.option(
+    "--on",
+    "gate_scope",
+    type=click.Choice(["auto", "frame", "region", "tile"]),
+    default="auto",
+    help="What gates judge; auto: the region of interest where there is one, else the frame.",
+)
+@click.pass_context
+def command(
+    ctx, test, reference, without, roi, gain, projection, layer, exposures, flip, gate_scope, **options
+):
+    """Compare TEST with REFERENCE: two pictures (EXR, PNG, ...) or two folders with the same names.
+
+    relMSE, RMSE, PSNR, SSIM and FLIP of the whole frame, of the region of interest and of the worst
+    16x16 tile. Gates judge the worst frame.
+    """
+    from mrbatch.metrics.errors import Exposures
+    from mrbatch.report.comparison import CompareSettings, compare, find_pairs
+    from mrbatch.report.html import write_html
+    from mrbatch.report.junit import write_junit
+    from mrbatch.report.markdown import write_markdown
+    from mrbatch.report.model import save_report
+
+    if roi is None and without is not None:
+        roi = "auto"
+    settings = CompareSettings(
+        layer=layer,
+        gain=gain[0] if len(gain) == 1 else gain,
+        projection=projection,
+        region=roi if roi in ("auto", "noisy", None) else Path(roi),
+        flip=flip,
+        exposures=Exposures(exposures[0], exposures[1], int(exposures[2])) if exposures else None,
+        gates={metric: options[key] for key, metric in _GATES.items() if options[key] is not None},
+        gate_scope=gate_scope,
+        pictures=options["html"] is not None,
+    )
+    report, images = compare(find_pairs(test, reference, without), settings)
+    print_scores(report)
+    if options["json_file"]:
+        save_report(report, options["json_file"])
+    if options["junit"]:
+        write_junit(report, options["junit"])
+    if options["markdown"]:
+        write_markdown(report, options["markdown"])
+    if options["html"]:
+        write_html(report, options["html"], images=images)
+    ctx.exit(report.exit)
+
+
+def print_scores(report) -> None:
+    """A table: a line a metric; of several frames the mean and, in brackets, the worst."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from mrbatch.metrics.errors import METRICS
+    from mrbatch.report.numbers import number, quantity
+
+    done = [f for f in report.frames if f.state == "done"]
+    found: dict[tuple[str, str], list[float]] = {}
+    at = {}
+    for frame in done:
+        for score in frame.scores:
+            found.setdefault((score.metric, score.scope), []).append(score.value.value)
+            at[score.metric, score.scope] = score.at
+    scopes = [s for s in ("frame", "region", "tile") if any(scope == s for _, scope in found)]
+    many = f", mean of {len(done)} frames (worst)" if len(done) > 1 else ""
+    table = Table(title=f"{escape(report.job.name)}{many}", title_justify="left")
+    table.add_column("")
+    for scope in scopes:
+        table.add_column({"tile": "worst tile"}.get(scope, scope), justify="right")
+    for name, info in METRICS.items():
+        if (name, "frame") not in found:
+            continue
+        line = []
+        for scope in scopes:
+            values = found.get((name, scope), [])
+            unit = " dB" if info.unit == "dB" else ""
+            if len(values) > 1:
+                extreme = min(values) if info.higher_is_better else max(values)
+                line.append(f"{number(sum(values) / len(values))} ({number(extreme)}){unit}")
+            elif values:
+                place = at[name, scope]
+                line.append(number(values[0]) + unit + (f" at {place[0]}, {place[1]}" if place else ""))
+            else:
+                line.append("")
+        table.add_row(info.title, *line)
+    console = Console()
+    console.print(table)
+    for gate in report.gates:
+        mark = "[green]passed[/]" if gate.passed else "[red]failed[/]"
+        where = f" (frame {gate.frame})" if gate.frame is not None else ""
+        console.print(f"{mark} {escape(gate.text)}: {quantity(gate.measured)}{where}", highlight=False)
+    for note in report.notes:
+        where = f"frame {note.frame}: " if note.frame is not None else ""
+        console.print(f"[yellow]{note.level}[/] {where}{escape(note.text)}", highlight=False)
+    for frame in report.frames:
+        if frame.state == "failed":
+            console.print(f"[red]failed[/] frame {frame.number}: {escape(frame.message)}", highlight=False)

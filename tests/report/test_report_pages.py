@@ -1,0 +1,281 @@
+"""Pages drawn from the model: safe against hostile text, self-contained, complete."""
+
+from __future__ import annotations
+
+import base64
+import re
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+
+from mrbatch.report import numbers
+from mrbatch.report.html import MAX_FRAMES_SHOWN, bars, render_html, timing_rows
+from mrbatch.report.junit import render_junit
+from mrbatch.report.markdown import render_markdown
+from mrbatch.report.model import (
+    Effect,
+    File,
+    Frame,
+    Gate,
+    Job,
+    Note,
+    Picture,
+    Plan,
+    Report,
+    Score,
+    TimingNode,
+    Totals,
+    Value,
+)
+
+HOSTILE = (
+    "\"'><script>alert(1)</script><img src=http://evil.example/x onerror=alert(2)>"
+    " | `x` [a](http://evil.example) {{ 7*7 }} \x00\x1b"
+)
+
+
+def hostile_report() -> Report:
+    value = Value(value=1.5, unit=HOSTILE)
+    frame = Frame(
+        number=1,
+        state="failed",
+        message=HOSTILE,
+        hint=HOSTILE,
+        flags=(HOSTILE,),
+        seconds=value,
+        files=(File(path=HOSTILE, hash=HOSTILE),),
+        counters={HOSTILE: 1},
+        scores=(Score(metric=HOSTILE, scope="frame", value=value),),
+    )
+    effect = Effect(name=HOSTILE, state="needed", why=HOSTILE, meaning=HOSTILE, frames=HOSTILE)
+    return Report(
+        job=Job(name=HOSTILE, hash=HOSTILE, method=HOSTILE, capture=HOSTILE, settings={HOSTILE: [HOSTILE]}),
+        versions={HOSTILE: HOSTILE},
+        machine={HOSTILE: HOSTILE},
+        created=HOSTILE,
+        plan=Plan(effects=(effect.model_copy(update={"numbers": {HOSTILE: 1.0}, "cost": value}),)),
+        frames=(frame,),
+        timing=TimingNode(name=HOSTILE, seconds=1.0, counters={HOSTILE: 1}, launches=1),
+        totals=Totals(seconds=value, counters={HOSTILE: 3}),
+        notes=(Note(level="error", text=HOSTILE),),
+        pictures=(Picture(role="composite", path=HOSTILE, frame=1, view=HOSTILE, caption=HOSTILE),),
+        gates=(Gate(name=HOSTILE, passed=False, text=HOSTILE, measured=value, limit=value),),
+    )
+
+
+class Tags(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.tags, self.attributes, self.text = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value) for name, value in attrs]
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def parsed(page: str) -> Tags:
+    tags = Tags()
+    tags.feed(page)
+    return tags
+
+
+def test_page_escapes_hostile_strings():
+    picture = np.zeros((40, 60, 3), np.uint8)
+    page = parsed(render_html(hostile_report(), images={HOSTILE: picture}))
+    assert "script" not in page.tags
+    assert [t for t in page.tags if t == "img"] == ["img"]  # the one picture
+    assert not [a for a in page.attributes if a[1].startswith("on")]
+    assert "49" not in "".join(page.text)
+
+
+def test_page_fetches_nothing():
+    picture = np.zeros((40, 60, 3), np.uint8)
+    page = render_html(hostile_report(), images={HOSTILE: picture})
+    for tag, name, value in parsed(page).attributes:
+        if name in ("src", "href", "srcset", "action", "data", "poster", "background"):
+            assert value.startswith("data:image/"), (tag, name, value)
+    assert not {"link", "script", "iframe", "object", "embed", "base", "form"} & set(parsed(page).tags)
+    style = page[page.index("<style>") : page.index("</style>")]
+    assert "url(" not in style and "@import" not in style
+    assert "default-src 'none'" in page
+
+
+def test_page_says_what_was_skipped_and_why_and_where_time_went():
+    report = Report(
+        job=Job(name="desk"),
+        plan=Plan(
+            effects=(Effect(name="caustics", state="absent", why="no material is specular", bound=0.0),)
+        ),
+        timing=TimingNode(
+            name="render",
+            seconds=10.0,
+            children=(TimingNode(name="trace", seconds=6.0), TimingNode(name="write", seconds=1.0)),
+        ),
+        frames=(Frame(number=12, state="done", flags=("pose-held",)),),
+        totals=Totals(frames_done=1, counters={"camera rays": 1_234_567}),
+    )
+    text = re.sub(r"\s+", " ", " ".join(parsed(render_html(report)).text))
+    for words in (
+        "caustics",
+        "absent",
+        "no material is specular",
+        "trace",
+        "pose-held",
+        "1.23 M",
+        "all good",
+    ):
+        assert words in text, words
+
+
+def test_timing_rows_account_for_every_second():
+    tree = TimingNode(
+        name="render",
+        seconds=10.0,
+        children=(
+            TimingNode(name="a", seconds=4.0, children=(TimingNode(name="aa", seconds=1.0),)),
+            TimingNode(name="b", seconds=2.0),
+        ),
+    )
+    rows = timing_rows(tree)
+    assert [(r.node.name, r.depth) for r in rows] == [
+        ("render", 0), ("a", 1), ("aa", 2), ("(the rest)", 2), ("b", 1), ("(the rest)", 1),
+    ]  # fmt: skip
+    assert [round(r.share) for r in rows] == [100, 40, 10, 30, 20, 40]
+    assert sum(r.node.seconds for r in rows if r.node.name in ("aa", "(the rest)", "b")) == pytest.approx(
+        10.0
+    )
+    assert timing_rows(None) == () and timing_rows(TimingNode(name="x", seconds=0.0))[0].share == 0.0
+
+
+def test_pictures_are_embedded_and_readable():
+    codes = np.random.default_rng(0).integers(0, 255, (300, 1600, 3), dtype=np.uint8)
+    codes[:] = codes.mean(axis=(0, 1)).astype(np.uint8) // 2 * 2
+    report = Report(job=Job(name="x"), pictures=(Picture(role="composite", path="p", frame=3),))
+    page = render_html(report, images={"p": codes})
+    data = re.search(r'src="data:image/jpeg;base64,([^"]+)"', page).group(1)
+    back = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    assert back.shape == (135, 720, 3)
+    assert np.abs(back.astype(int) - codes[0, 0].astype(int)).max() <= 3
+
+
+def test_pictures_outside_the_folder_are_not_followed(tmp_path):
+    inside = tmp_path / "job"
+    inside.mkdir()
+    for path in (tmp_path / "secret.png", inside / "fine.png"):
+        cv2.imwrite(str(path), np.full((64, 900, 3), 90, np.uint8))
+    (inside / "link.png").symlink_to(tmp_path / "secret.png")
+    (inside / "broken.png").write_bytes(b"\x89PNG nonsense")
+    paths = ["fine.png", "../secret.png", str(tmp_path / "secret.png"), "link.png", "broken.png", "none.png"]
+    report = Report(
+        job=Job(name="x"), pictures=tuple(Picture(role="composite", path=p, frame=1) for p in paths)
+    )
+    page = render_html(report, folder=inside)
+    assert page.count("<img") == 1
+    assert page.count("lies outside the report") == 3
+    assert "no such picture" in page and "cannot read the picture" in page
+
+
+def test_many_frames_stay_one_small_page():
+    rng = np.random.default_rng(1)
+    noise = rng.integers(0, 255, (400, 720, 3), dtype=np.uint8)
+    n = 1000
+    report = Report(
+        job=Job(name="long"),
+        frames=tuple(
+            Frame(number=i, state="done", seconds=Value(value=1 + i % 7, unit="s")) for i in range(n)
+        ),
+        pictures=tuple(Picture(role="composite", path=f"{i}", frame=i) for i in range(n)),
+    )
+    page = render_html(report, images={f"{i}": noise for i in range(n)})
+    assert page.count("<img") == MAX_FRAMES_SHOWN
+    assert "Frame 0<" in page and f"Frame {n - 1}<" in page
+    assert len(page) < 6_000_000
+    chart = bars(report.frames, "seconds")
+    assert 200 <= len(chart) <= 240 and max(b.height for b in chart) == 100.0
+
+
+def test_junit_counts_gates_and_frames():
+    report = Report(
+        job=Job(name="x"),
+        gates=(
+            Gate(name="a", passed=True, text="fine", measured=Value(value=1.0, unit="1")),
+            Gate(name="b", passed=False, text="too large", limit=Value(value=1.0, unit="dB"), frame=4),
+        ),
+        frames=(
+            Frame(number=1, state="done", seconds=Value(value=1.25, unit="s")),
+            Frame(number=2, state="failed", message="broken", hint="repair it", exit=3),
+            Frame(number=3, state="skipped"),
+        ),
+    )
+    root = ElementTree.fromstring(render_junit(report).encode())
+    assert (root.get("tests"), root.get("failures"), root.get("skipped")) == ("5", "2", "1")
+    failures = {
+        c.get("name"): c.find("failure") for c in root.iter("testcase") if c.find("failure") is not None
+    }
+    assert set(failures) == {"b (frame 4)", "frame 2"}
+    assert failures["frame 2"].get("message") == "broken" and failures["frame 2"].text == "repair it"
+    times = [c.get("time") for c in root.iter("testcase") if c.get("time")]
+    assert times == ["1.250000"]
+
+
+def test_junit_of_hostile_text_is_well_formed():
+    root = ElementTree.fromstring(render_junit(hostile_report()).encode())
+    assert {e.tag for e in root.iter()} <= {"testsuites", "testsuite", "testcase", "failure", "system-out"}
+
+
+def test_markdown_of_hostile_text_adds_no_markup():
+    text = render_markdown(hostile_report())
+    assert "<script" not in text and "<img" not in text
+    assert not re.search(r"(?<!\\)\]\(", text) and "\x1b" not in text
+    assert not re.search(r"https?://", text)
+    lines = text.splitlines()
+    for before, line in zip(lines, lines[1:]):
+        if line.startswith("|"):
+            # A row has exactly the cells of the row above it: hostile bars are escaped.
+            above, here = (len(re.findall(r"(?<!\\)\|", row)) for row in (before, line))
+            assert above in (0, here), line
+
+
+def test_markdown_names_metrics_and_gates():
+    score = Score(metric="psnr", scope="region", value=Value(value=31.25, unit="dB"))
+    report = Report(
+        job=Job(name="x"),
+        frames=(Frame(number=7, state="done", scores=(score,)),),
+        gates=(Gate(name="min PSNR", passed=False, text="low"),),
+        exit=1,
+    )
+    text = render_markdown(report)
+    assert "| 7 | PSNR | region | 31.2 dB |" in text
+    assert "| min PSNR | **failed** |" in text and "exit code 1" in text
+
+
+@pytest.mark.parametrize(
+    "value, text",
+    [(0, "0"), (0.00123, "0.00123"), (1.234e-5, "1.23e-5"), (123456, "123,456"), (1e9, "1.00e9"),
+     (float("inf"), "∞"), (float("nan"), "NaN"), (-0.5, "-0.5")],
+)  # fmt: skip
+def test_numbers_are_written_alike(value, text):
+    assert numbers.number(value) == text
+
+
+@pytest.mark.parametrize(
+    "value, text",
+    [(0.0032, "3.2 ms"), (12.44, "12.4 s"), (59.99, "60 s"), (200, "3 min 20 s"), (7500, "2 h 05 min")],
+)
+def test_durations_are_written_for_people(value, text):
+    assert numbers.seconds(value) == text
+
+
+def test_quantities_carry_unit_interval_and_repetitions():
+    value = Value(value=1.5, unit="dB", low=1.0, high=2.0, repetitions=5)
+    assert numbers.quantity(value) == "1.5 dB [1, 2] (n = 5)"
+    assert numbers.quantity(None) == ""
+    assert [numbers.count(n) for n in (999, 9999, 12_345, 1_234_567, 2_500_000_000)] == [
+        "999", "9,999", "12.3 k", "1.23 M", "2.5 G",
+    ]  # fmt: skip
