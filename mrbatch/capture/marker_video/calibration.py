@@ -286,6 +286,10 @@ def _read(path: Path, place: Place) -> dict[str, Any]:
 def _read_numpy(path: Path, place: Place) -> dict[str, Any]:
     try:
         with path.open("rb") as stream:
+            magic = stream.read(2)
+            stream.seek(0)
+            if magic not in (b"\x93N", b"PK"):
+                raise ValueError("it is neither an NPY nor an NPZ file")
             content = np.load(stream, allow_pickle=False)
             if isinstance(content, np.ndarray):
                 return {"camera_matrix": content}

@@ -242,9 +242,10 @@ def _noise(detections: list[Detection], roots: list[list[Root]]) -> tuple[float,
     freedom = [2 * len(d) - 6 for d in detections]
     shares = [r[0].chi2 / chi2.median(k) for r, k in zip(roots, freedom, strict=True) if r and k > 0]
     shot = float(np.median(shares)) if shares else 1.0
-    if sum(k for r, k in zip(roots, freedom, strict=True) if r) < 50:
-        shot = max(shot, 1.0)
-    own = [max(shot, r[0].chi2 / k) if r and k > 0 else shot for r, k in zip(roots, freedom, strict=True)]
+    # A marker alone leaves 2 degrees of freedom, too few to say that its corners are better than
+    # stated; and the other pictures of a set of stills need not be as bad as this one, or as good.
+    floor = float(np.clip(shot, 1.0, 4.0)) if min(freedom, default=0) < 20 else shot
+    own = [max(floor, r[0].chi2 / k) if r and k > 0 else floor for r, k in zip(roots, freedom, strict=True)]
     return shot, own
 
 
@@ -269,8 +270,9 @@ def choose_roots(roots: list[list[Root]], noise2: list[float]) -> tuple[list[int
 
     Minimises sum chi^2 / noise2 + sum of jumps between neighbours, min((jump / usual)^2, cap), over
     all paths; a jump is the turn in radians plus the shift over the distance, `usual` the shot's own
-    median of the smallest jump between neighbours. A frame is doubtful where two distinct roots have
-    nearly one rms and neither the neighbours nor the whole path tell them apart. `noise2`: for each
+    median of the smallest jump between neighbours. A frame is doubtful where the other of two distinct
+    roots is within three sigma on the whole path, or has nearly the same rms and the neighbours do not
+    speak against it. `noise2`: for each
     frame, variance of its points relative to what their covariance says.
     """
     if not roots:
@@ -304,12 +306,12 @@ def _doubtful(frame: list[Root], best: int, total: np.ndarray, single: list[floa
     other = 1 - best
     if angle_between(frame[0].world_from_camera, frame[1].world_from_camera) < AMBIGUOUS_ANGLE:
         return False
-    if frame[other].rms >= AMBIGUOUS_RATIO * frame[best].rms:
-        return False
     margin = total[other] - total[best]
     context = margin - (single[other] - single[best])
-    # nine is three sigma; the neighbours must speak for it, not this one picture
-    return bool(margin < 9.0 or context < 4.0)
+    alike = frame[other].rms < AMBIGUOUS_RATIO * frame[best].rms
+    # Nine is three sigma. The ratio alone is not enough: a marker's four corners may fit one root well by
+    # luck. Where the rms are alike, the neighbours must speak for the choice, not this picture.
+    return bool(margin < 9.0 or (alike and context < 4.0))
 
 
 def _jump(a: Root, b: Root) -> float:

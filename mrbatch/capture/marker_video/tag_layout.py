@@ -19,10 +19,11 @@ from mrbatch.capture.marker_video.target_settings import TagsSettings
 from mrbatch.errors import InputError, Place
 
 _MOVED = 3.0
-"""Median error in pixels, and ...
-"""
+"""Error in pixels, and ..."""
 _MOVED_SHARE = 0.05
-"""... share of a tag's side in the picture: beyond both, tags are not fixed to each other."""
+"""... share of a tag's side in the picture: beyond both a sighting is off."""
+_MOVED_SIGHTINGS = 0.2
+"""Share of sightings that are off from which on the tags are not fixed to each other."""
 _SWEEPS = 4
 _MOST_PICTURES = 60
 """Bundle adjustment takes at most so many pictures, spread over the shot."""
@@ -230,15 +231,16 @@ class _Scene:
                     quad = self.points[p][i][1]
                     sides.append(float(np.linalg.norm(np.roll(quad, 1, axis=0) - quad, axis=1).mean()))
         every = [e for each in errors.values() for e in each]
-        if np.median(every) > max(_MOVED, _MOVED_SHARE * np.median(sides)):
-            worst = max(errors, key=lambda i: (np.median(errors[i]), i))
+        off = np.array(every) > max(_MOVED, _MOVED_SHARE * float(np.median(sides)))
+        if off.mean() > _MOVED_SIGHTINGS:
+            worst = max(errors, key=lambda i: (np.mean(errors[i]), i))
             at = max(
                 (p for p in self.cameras if worst in self.ids[p]),
                 key=lambda p: self.error(p, worst, self.cameras[p] @ self.tags[worst]),
             )
             raise InputError(
                 f"the tags do not keep their places: tag {worst} is off by "
-                f"{np.median(errors[worst]):.1f} pixels (median)",
+                f"{np.mean(errors[worst]):.1f} pixels (mean)",
                 place=Place(frame=self.pictures[at][0]),
                 hint="tags must not move during the shot; use a single tag as `marker` otherwise",
             )
