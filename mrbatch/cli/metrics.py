@@ -129,43 +129,22 @@ def command(
 
 
 def print_scores(report) -> None:
-    """A table: a line a metric; of several frames the mean and, in brackets, the worst."""
+    """The figures, gates, notes and failed frames."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
-    from mrbatch.metrics.errors import METRICS
-    from mrbatch.report.numbers import number, quantity
+    from mrbatch.report.numbers import quantity
+    from mrbatch.report.scores import score_table
 
-    done = [f for f in report.frames if f.state == "done"]
-    found: dict[tuple[str, str], list[float]] = {}
-    at = {}
-    for frame in done:
-        for score in frame.scores:
-            found.setdefault((score.metric, score.scope), []).append(score.value.value)
-            at[score.metric, score.scope] = score.at
-    scopes = [s for s in ("frame", "region", "tile") if any(scope == s for _, scope in found)]
-    many = f", mean of {len(done)} frames (worst)" if len(done) > 1 else ""
+    scores = score_table(report)
+    many = f", mean of {scores.frames} frames" if scores.frames > 1 else ""
     table = Table(title=f"{escape(report.job.name)}{many}", title_justify="left")
     table.add_column("")
-    for scope in scopes:
-        table.add_column({"tile": "worst tile"}.get(scope, scope), justify="right")
-    for name, info in METRICS.items():
-        if (name, "frame") not in found:
-            continue
-        line = []
-        for scope in scopes:
-            values = found.get((name, scope), [])
-            unit = " dB" if info.unit == "dB" else ""
-            if len(values) > 1:
-                extreme = min(values) if info.higher_is_better else max(values)
-                line.append(f"{number(sum(values) / len(values))} ({number(extreme)}){unit}")
-            elif values:
-                place = at[name, scope]
-                line.append(number(values[0]) + unit + (f" at {place[0]}, {place[1]}" if place else ""))
-            else:
-                line.append("")
-        table.add_row(info.title, *line)
+    for column in scores.columns:
+        table.add_column(column, justify="right")
+    for title, cells in scores.rows:
+        table.add_row(title, *cells)
     console = Console()
     console.print(table)
     for gate in report.gates:

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from mrbatch.errors import MrbatchError
-from mrbatch.metrics.errors import METRICS
 from mrbatch.report import numbers
-from mrbatch.report.model import Frame, Picture, Report, TimingNode, write_text
+from mrbatch.report.model import Frame, Picture, Report, TimingNode, Value, write_text
 from mrbatch.report.pictures import data_uri, draw, read_picture
+from mrbatch.report.scores import score_table
 
 MAX_FRAMES_SHOWN = 8
 MAX_PICTURE_BYTES = 12_000_000
@@ -37,6 +37,8 @@ ROLE_TITLES = {
     "error": "Error estimate",
     "other": "Picture",
 }
+COMPARED_TITLES = {"composite": "Test", "error": "Relative error"}
+"""Where a report compares pictures with references: nothing is estimated there."""
 STATE_MEANING = {
     "absent": "nothing of it exists in this scene",
     "negligible": "bounded under its share of the error budget",
@@ -104,7 +106,6 @@ def render_html(
         "quantity": numbers.quantity,
     }
     effects = sorted(report.plan.effects, key=lambda e: (e.state not in SIMULATED, e.name))
-    metrics = sorted({(s.metric, s.scope) for f in report.frames for s in f.scores}, key=_score_order)
     return environment.get_template("report.html.j2").render(
         report=report,
         groups=_groups(report, folder, images or {}, max_frames),
@@ -115,10 +116,11 @@ def render_html(
         timing=timing_rows(report.timing),
         counters=sorted(report.totals.counters.items()),
         bars={"seconds": bars(report.frames, "seconds"), "error": bars(report.frames, "error")},
-        metrics=metrics,
-        titles={name: info.title for name, info in METRICS.items()},
+        scores=score_table(report),
+        timed=any(f.seconds is not None for f in report.frames),
+        estimated=any(f.error is not None for f in report.frames),
         outcomes=any(f.outcome not in ("fixed", "none") for f in report.frames),
-        scores={f.number: {(s.metric, s.scope): s for s in f.scores} for f in report.frames},
+        leading=_leading(report),
         settings=json.dumps(report.job.settings, indent=2, ensure_ascii=False, default=str),
     )
 
@@ -187,8 +189,18 @@ def bars(frames: Sequence[Frame], name: str, most: int = 240) -> tuple[Bar, ...]
     return tuple(out)
 
 
-def _score_order(key: tuple[str, str]) -> tuple[int, str]:
-    return ("frame", "region", "tile").index(key[1]), key[0]
+def _leading(report: Report) -> tuple[str, dict[int, Value]]:
+    """The figure that the table of frames shows: relMSE, of the region where there is one."""
+    for scope in ("region", "frame"):
+        found = {
+            f.number: s.value
+            for f in report.frames
+            for s in f.scores
+            if s.metric == "relmse" and s.scope == scope
+        }
+        if found:
+            return f"relMSE ({scope})", found
+    return "", {}
 
 
 def _groups(
@@ -205,7 +217,10 @@ def _groups(
         chosen = sorted((p for p in report.pictures if p.frame == frame), key=_role)
         shown = []
         for picture in chosen:
-            one = _shown(picture, folder, images, left)
+            title = ROLE_TITLES[picture.role]
+            if report.kind == "metrics":
+                title = COMPARED_TITLES.get(picture.role, title)
+            one = _shown(title, picture, folder, images, left)
             left -= len(one.uri)
             shown.append(one)
         if shown:
@@ -217,8 +232,10 @@ def _role(picture: Picture) -> int:
     return ROLE_ORDER.index(picture.role)
 
 
-def _shown(picture: Picture, folder: Path | None, images: Mapping[str, np.ndarray], left: int) -> Shown:
-    title = ROLE_TITLES[picture.role] + (f" ({picture.view})" if picture.view else "")
+def _shown(
+    title: str, picture: Picture, folder: Path | None, images: Mapping[str, np.ndarray], left: int
+) -> Shown:
+    title += f" ({picture.view})" if picture.view else ""
 
     def without(why: str) -> Shown:
         return Shown(title, picture.caption, "", f"{picture.path}: {why}")

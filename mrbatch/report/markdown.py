@@ -6,10 +6,10 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mrbatch.metrics.errors import METRICS
 from mrbatch.report import numbers
 from mrbatch.report.html import SIMULATED, timing_rows
 from mrbatch.report.model import Report, write_text
+from mrbatch.report.scores import score_table
 
 MAX_FRAMES = 200
 
@@ -35,8 +35,7 @@ def render_markdown(report: Report) -> str:
         effects=sorted(report.plan.effects, key=lambda e: (e.state not in SIMULATED, e.name)),
         timing=timing_rows(report.timing),
         max_frames=MAX_FRAMES,
-        titles={name: info.title for name, info in METRICS.items()},
-        scores=[(f.number, s) for f in report.frames[:MAX_FRAMES] for s in f.scores],
+        scores=score_table(report),
     )
     return text.rstrip() + "\n"
 

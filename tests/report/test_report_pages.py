@@ -30,6 +30,7 @@ from mrbatch.report.model import (
     Totals,
     Value,
 )
+from mrbatch.report.scores import score_table
 
 HOSTILE = (
     "\"'><script>alert(1)</script><img src=http://evil.example/x onerror=alert(2)>"
@@ -251,7 +252,7 @@ def test_markdown_names_metrics_and_gates():
         exit=1,
     )
     text = render_markdown(report)
-    assert "| 7 | PSNR | region | 31.2 dB |" in text
+    assert "| PSNR | 31.2 dB |" in text
     assert "| min PSNR | **failed** |" in text and "exit code 1" in text
 
 
@@ -279,3 +280,20 @@ def test_quantities_carry_unit_interval_and_repetitions():
     assert [numbers.count(n) for n in (999, 9999, 12_345, 1_234_567, 2_500_000_000)] == [
         "999", "9,999", "12.3 k", "1.23 M", "2.5 G",
     ]  # fmt: skip
+
+
+def test_scores_of_several_frames_are_their_mean_and_the_worst():
+    def frame(number, psnr, relmse):
+        values = {"psnr": Value(value=psnr, unit="dB"), "relmse": Value(value=relmse, unit="1")}
+        scores = tuple(Score(metric=m, scope="frame", value=v) for m, v in values.items())
+        return Frame(number=number, state="done", scores=scores)
+
+    report = Report(job=Job(name="x"), frames=(frame(5, 30.0, 0.1), frame(6, 40.0, 0.3)))
+    table = score_table(report)
+    assert table.columns == ("frame",) and table.frames == 2
+    assert dict(table.rows) == {
+        "relMSE": ("0.2 (worst 0.3, frame 6)",),
+        "PSNR": ("35 dB (worst 30, frame 5)",),
+    }
+    assert "0.2 (worst 0.3, frame 6)" in render_html(report)
+    assert "| relMSE | 0.2 (worst 0.3, frame 6) |" in render_markdown(report)
