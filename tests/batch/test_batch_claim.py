@@ -194,3 +194,22 @@ def test_another_start_time_is_another_process(tmp_path, present):
     reused = other(name="host-reused", started=Owner.here().started - 1e5)
     leave_claim(tmp_path / "claims", reused, 3, age=70.0)
     assert Claims(present(stale_after=60.0)).acquire(3)
+
+
+def test_a_slow_taker_gives_the_claim_of_a_faster_one_back(tmp_path, present, monkeypatch):
+    dead = other(name="host-dead", pid=dead_process())
+    leave_claim(tmp_path / "claims", dead, 3)
+    slow, fast = Claims(present()), Claims(present())
+    judge = slow.presence.is_alive
+
+    def overtaken(name, claimed=None):
+        verdict = judge(name, claimed)
+        if name == dead.name:
+            # Between this judgement and what follows from it, the other one is through.
+            assert fast.acquire(3)
+        return verdict
+
+    monkeypatch.setattr(slow.presence, "is_alive", overtaken)
+    assert not slow.acquire(3)
+    assert read_claim(fast.path(3)) == fast.presence.owner.name
+    assert list((tmp_path / "claims").glob(".stale-*")) == []

@@ -14,6 +14,7 @@ import pytest
 from toy_shot import Toy, expected_payload, request_for, verify
 
 from mrbatch.batch import events as tell
+from mrbatch.batch.commit import temporary_name
 from mrbatch.batch.history import cut_segments
 from mrbatch.batch.journal import JournalReader
 from mrbatch.batch.presence import Owner, Presence
@@ -351,6 +352,16 @@ def test_ctrl_c_in_a_frame_gives_that_frame_up(tmp_path):
 
     result = run(request_for(tmp_path, [1, 2, 3]), render, verify)
     assert (result.rendered, result.undone, result.exit_code) == ((1,), (2, 3), 130)
+    assert strangers_in(tmp_path) == []
+
+
+def test_a_signal_between_two_lines_leaves_no_temporary_file(tmp_path):
+    def render(frame, state):
+        (sign,) = (tmp_path / "claims").glob("*.alive")
+        temporary_name(tmp_path / "shot.0001.toy", sign.stem).write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    assert run(request_for(tmp_path, [1]), render, verify).exit_code == 130
     assert strangers_in(tmp_path) == []
 
 
