@@ -6,21 +6,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mrbatch.batch.job_run import plan_job as plan
+    from mrbatch.batch.job_run import render_job as render
     from mrbatch.job import load_job
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "load_job"]
+__all__ = ["__version__", "load_job", "plan", "render"]
 
 _HOMES = {
-    "load_job": "mrbatch.job",
+    "load_job": ("mrbatch.job", "load_job"),
+    "plan": ("mrbatch.batch.job_run", "plan_job"),
+    "render": ("mrbatch.batch.job_run", "render_job"),
 }
-"""Public name to the module that has it; loaded when first used, so that `import mrbatch` is light."""
+"""Public name to where it lives; loaded when first used, so that `import mrbatch` is light."""
 
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
+        module, attribute = _HOMES[name]
+        return getattr(import_module(module), attribute)
     raise AttributeError(f"module `mrbatch` has no attribute `{name}`")
 
 

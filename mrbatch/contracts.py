@@ -196,6 +196,7 @@ class Method:
     """How the captured picture changes: one a job.
 
     `build(scene, plan, settings, outputs)` gives the pipeline of one shot; it is called once a shot.
+    `history`: its pipelines may hold buffers that go from frame to frame.
     """
 
     name: str
@@ -207,6 +208,7 @@ class Method:
     rules: tuple[Rule, ...] = ()
     axes: tuple[Axis, ...] = ()
     cases: tuple[Case, ...] = ()
+    history: bool = False
 
 
 @dataclass(frozen=True)
@@ -224,6 +226,7 @@ class Participant:
     rules: tuple[Rule, ...] = ()
     axes: tuple[Axis, ...] = ()
     cases: tuple[Case, ...] = ()
+    history: bool = False
 
 
 @dataclass(frozen=True)
@@ -244,6 +247,12 @@ class Capture(Protocol):
 
     def prepare(self) -> Mapping[str, Any]:
         """Sees the whole shot once; gives a JSON-ready table (frame times, poses, gains, ...)."""
+
+    def facts(self, table: Mapping[str, Any]) -> Any:
+        """What holds for the whole shot, as `mrbatch.capture.frame.CaptureFacts`."""
+
+    def geometry(self, number: int, table: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Cameras and gains of a frame by view (`ViewGeometry`), without reading its picture."""
 
     def frame(self, number: int, table: Mapping[str, Any]) -> Any:
         """One frame as `mrbatch.capture.frame.FrameData`; a pure function of capture, number and table."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 
 import numpy as np
 
+from mrbatch.kernels.transfer import decode_table
 from mrbatch.scene.camera import Camera
 
 
@@ -26,6 +28,37 @@ class ViewData:
     gain: np.ndarray
     matte: np.ndarray | None = None
     codes: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class ViewGeometry:
+    """What is known of a view before its picture is read: camera with pose, and gain (3,) float64."""
+
+    camera: Camera
+    gain: np.ndarray
+
+
+@dataclass(frozen=True)
+class CaptureFacts:
+    """What holds for the whole capture.
+
+    `source_bits`: bits a channel of the pictures (16 or 32 where `source_is_float`). `transfer`: the
+    capture's transfer function, by its name in `kernels.transfer`, for previews. `frame_rate`: frames
+    per second as an exact fraction, or None. `notes`: what the report has to say of the reading.
+    """
+
+    source_bits: int
+    source_is_float: bool
+    transfer: str
+    frame_rate: Fraction | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def half_code(self) -> float:
+        """Half of the smallest step between code values, linear; 0 for floating-point pictures."""
+        if self.source_is_float:
+            return 0.0
+        return float(np.diff(decode_table(self.transfer, self.source_bits)).min()) / 2
 
 
 @dataclass(frozen=True)

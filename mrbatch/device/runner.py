@@ -17,6 +17,7 @@ import numpy as np
 import warp as wp
 
 from mrbatch.contracts import Buffer, Pass, Pipeline, Span
+from mrbatch.device.startup import start
 from mrbatch.device.timing import ThreadClock, TimingNode
 
 LAUNCHES_PER_THREAD = 8
@@ -55,6 +56,7 @@ class Runner:
     def __init__(
         self, threads: int | None = None, *, units_per_launch: int | None = None, device: str = "cpu"
     ) -> None:
+        start()
         self.threads = max(1, threads or usable_cores())
         self.units_per_launch = units_per_launch
         self.device = device

@@ -27,7 +27,8 @@ class ShotFacts:
     """Everything a rule may look at.
 
     `half_code`: half of the smallest step of the capture's code values, linear; 0 where the capture
-    has none (floating point). `windows`: data window by view. `settings`: the method's.
+    has none (floating point). `windows`: data window by view. `settings`: the method's. `everywhere`:
+    something takes part whose reach is not known (a participant), so every tile is done.
     """
 
     scene: Scene
@@ -36,3 +37,4 @@ class ShotFacts:
     settings: Any
     layers: frozenset[str]
     half_code: float
+    everywhere: bool = False

@@ -199,6 +199,8 @@ def influence(facts: ShotFacts, frame: FrameFacts, view: str, *, light_change: b
     tiles = window.tile_rectangles()
     seen = np.zeros(len(tiles), dtype=bool)
     changed = np.zeros(len(tiles), dtype=bool)
+    if facts.everywhere:
+        return Influence(np.arange(len(tiles), dtype=np.int32), len(tiles), 0, "participants may be anywhere")
     virtual, real = facts.scene.virtual, facts.scene.real
     if not virtual:
         return Influence(np.zeros(0, np.int32), 0, 0, "there is no virtual object")

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from mrbatch.device.rays import BuiltSet, Engine, RayMesh, RaySet, build_set
+from mrbatch.device.startup import start
 from mrbatch.errors import InputError
 from mrbatch.kernels.bsdf import KINDS
 from mrbatch.kernels.environment import EnvironmentData
@@ -125,6 +126,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
 
     Raises InputError where there are more triangles than an index can number.
     """
+    start()
     data = SceneData()
     meshes: list[RayMesh] = []
     vertices, normals, uvs, corners, owners = [], [], [], [], []

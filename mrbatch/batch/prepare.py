@@ -1,0 +1,218 @@
+"""Prepare: the shot is seen once, whole; what is found goes into `shot/` and to every worker."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mrbatch import __version__
+from mrbatch.batch.commit import hash_file
+from mrbatch.batch.framing import data_window, display_size
+from mrbatch.batch.history import cut_segments
+from mrbatch.batch.shot import Shot, commit_shot, content_hash, load_shot
+from mrbatch.capture.frame import CaptureFacts, ViewGeometry
+from mrbatch.capture.registry import CAPTURES
+from mrbatch.contracts import Capture
+from mrbatch.device.rays import resolve_engine
+from mrbatch.device.timing import TimingNode
+from mrbatch.effects.facts import FrameFacts, ShotFacts
+from mrbatch.effects.plan import make_plan
+from mrbatch.errors import InputError, Place, ResourceError
+from mrbatch.film.exr import choose_colour_type
+from mrbatch.film.layers import needs
+from mrbatch.film.window import Window
+from mrbatch.job.model import Job
+from mrbatch.job.resolve import pixel_relevant
+from mrbatch.scene.build import build_scene, scene_files
+from mrbatch.scene.camera import Camera
+from mrbatch.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A job ready to be rendered: opened capture, scene, shot, and the hash that names its pixels."""
+
+    job: Job
+    capture: Capture
+    facts: CaptureFacts
+    scene: Scene
+    shot: Shot
+    job_hash: str
+    display: Mapping[str, tuple[int, int]]
+    windows: Mapping[str, Window]
+    layers: tuple[str, ...]
+    needs: frozenset[str]
+
+
+def input_hashes(files: list[Path], folder: Path) -> dict[str, str]:
+    """Content hash of every input, by its path relative to the job's folder. Raises InputError."""
+    found = {}
+    for path in files:
+        try:
+            digest = hash_file(path)
+        except OSError as error:
+            raise InputError(
+                f"cannot read the file: {error.strerror or error}",
+                place=Place(file=str(path)),
+                hint="check the path, which counts from the job file, and its rights",
+            ) from error
+        name = path.relative_to(folder) if path.is_relative_to(folder) else path
+        found[name.as_posix()] = digest
+    return found
+
+
+def layer_names(job: Job) -> tuple[str, ...]:
+    """The composite, then what the job asks for."""
+    return tuple(dict.fromkeys(("composite", *(job.output.layers or ()))))
+
+
+def output_views(
+    job: Job, geometry: Mapping[str, ViewGeometry]
+) -> tuple[dict[str, tuple[int, int]], dict[str, Window]]:
+    """Picture size and data window by view."""
+    display = {name: display_size(job.output, view.camera) for name, view in geometry.items()}
+    return display, {name: data_window(job.output, size) for name, size in display.items()}
+
+
+def prepare(
+    job: Job, timing: TimingNode, *, directory: Path | None = None, write: bool = False, owner: str = ""
+) -> Prepared:
+    """Opens the capture, solves what the whole shot is needed for, and plans.
+
+    With `directory`, a shot that was written there before is taken as it is; with `write`, a new one
+    is committed there. Raises InputError for input that cannot be used, ResourceError for an engine that
+    is not available.
+    """
+    with timing.measure("open"):
+        capture: Capture = CAPTURES.get(job.capture_kind).open(job.capture, job.folder)
+        files = [Path(p) for p in capture.inputs()]
+        files += scene_files(job.environment, job.real, job.virtual)
+    with timing.measure("hash inputs"):
+        key = content_hash(
+            {
+                "job": pixel_relevant(job),
+                "inputs": input_hashes(list(dict.fromkeys(files)), job.folder),
+                "version": __version__,
+                "engine asked": job.engine,
+            }
+        )
+    with timing.measure("scene"):
+        scene = build_scene(job.environment, job.real, job.virtual)
+    shot = load_shot(directory, key) if directory else None
+    table = shot.table if shot else None
+    if table is None:
+        with timing.measure("capture"):
+            table = dict(capture.prepare())
+    facts: CaptureFacts = capture.facts(table)
+    numbers = shot.frames if shot else tuple(int(n) for n in capture.frame_numbers())
+    if not numbers:
+        raise InputError("the capture has no usable frame")
+    display, windows = output_views(job, _first_geometry(capture, table, numbers))
+    layers = layer_names(job)
+    wanted = needs(layers)
+    if shot is None:
+        with timing.measure("plan"):
+            shot = _plan(job, key, table, capture, facts, scene, numbers, windows, wanted)
+        if directory is not None and write:
+            commit_shot(directory, shot, owner)
+    elif job.engine != "warp" and shot.engine == "embree" and resolve_engine("auto") != "embree":
+        raise ResourceError(
+            "this shot was prepared with the ray engine Embree, which is not available here",
+            hint="render it all with --set engine=warp, in another folder",
+        )
+    job_hash = content_hash({"key": key, "shot": shot.hash, "engine": shot.engine, "version": __version__})
+    return Prepared(job, capture, facts, scene, shot, job_hash, display, windows, layers, wanted)
+
+
+def _first_geometry(
+    capture: Capture, table: Mapping[str, Any], numbers: tuple[int, ...]
+) -> Mapping[str, ViewGeometry]:
+    """Of the first frame that can be used; raises the last frame's InputError where none can."""
+    for number in numbers[:-1]:
+        with contextlib.suppress(InputError):
+            return capture.geometry(number, table)
+    return capture.geometry(numbers[-1], table)
+
+
+def first_cameras(prepared: Prepared) -> Mapping[str, Camera]:
+    """Cameras by view of the first usable frame."""
+    geometry = _first_geometry(prepared.capture, prepared.shot.table, prepared.shot.frames)
+    return {name: view.camera for name, view in geometry.items()}
+
+
+def _usable_facts(
+    capture: Capture,
+    table: Mapping[str, Any],
+    numbers: tuple[int, ...],
+    display: Mapping[str, tuple[int, int]],
+) -> Iterator[FrameFacts]:
+    """Of every frame that is not broken; a broken one says so when it is rendered."""
+    for number in numbers:
+        with contextlib.suppress(InputError):
+            yield frame_facts(capture, table, number, display)
+
+
+def frame_facts(
+    capture: Capture, table: Mapping[str, Any], number: int, display: Mapping[str, tuple[int, int]]
+) -> FrameFacts:
+    """Cameras in output pixels, and gains, of one frame."""
+    geometry = capture.geometry(number, table)
+    return FrameFacts(
+        number,
+        {name: view.camera.scaled(*display[name]) for name, view in geometry.items()},
+        {name: np.asarray(view.gain, dtype=np.float64) for name, view in geometry.items()},
+    )
+
+
+def _plan(
+    job: Job,
+    key: str,
+    table: Mapping[str, Any],
+    capture: Capture,
+    facts: CaptureFacts,
+    scene: Scene,
+    numbers: tuple[int, ...],
+    windows: Mapping[str, Window],
+    wanted: frozenset[str],
+) -> Shot:
+    display, _ = output_views(job, _first_geometry(capture, table, numbers))
+    frames = tuple(_usable_facts(capture, table, numbers, display))
+    rules = job.method_object.rules + tuple(r for p in job.participant_objects for r in p.rules)
+    shot_facts = ShotFacts(
+        scene=scene,
+        frames=frames,
+        windows=windows,
+        settings=job.method,
+        layers=wanted,
+        half_code=facts.half_code,
+        everywhere=bool(job.participants),
+    )
+    plan = make_plan(rules, shot_facts, job.effects)
+    most_gain = max(float(np.max(g)) for f in frames for g in f.gains.values())
+    peak = float(scene.environment.radiance.max(initial=0.0)) * most_gain
+    if job.output.dtype == "auto":
+        colour_type, reason = choose_colour_type(
+            facts.source_bits,
+            peak,
+            transfer=facts.transfer,
+            source_is_half=facts.source_is_float and facts.source_bits == 16,
+        )
+    else:
+        colour_type, reason = job.output.dtype, "asked for by the job"
+    segments = cut_segments(numbers)
+    return Shot(
+        key=key,
+        table=table,
+        frames=numbers,
+        engine=resolve_engine(job.engine),
+        colour_type=colour_type,
+        colour_reason=reason,
+        plan=plan,
+        segments=segments,
+        notes=tuple(facts.notes),
+    )

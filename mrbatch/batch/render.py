@@ -1,0 +1,244 @@
+"""Rendering one frame of a prepared job: a pure function of job, shot and frame number."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mrbatch import __version__
+from mrbatch.batch.framing import framed
+from mrbatch.batch.prepare import Prepared, first_cameras, frame_facts
+from mrbatch.device.runner import Runner
+from mrbatch.device.timing import TimingNode
+from mrbatch.film.composite import Contribution, behind_matte, composite, over
+from mrbatch.film.cryptomatte import name_id
+from mrbatch.film.exr import FrameImage, ViewImage, write_frame
+from mrbatch.film.first_hit import first_hit_estimates
+from mrbatch.film.layers import CRYPTOMATTES, channels
+from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
+from mrbatch.film.rendering import FrameRenderer, Source
+from mrbatch.job.resolve import pixel_relevant
+from mrbatch.scene.camera import Camera
+from mrbatch.scene.scene_data import upload
+
+
+@dataclass(frozen=True)
+class RenderedFrame:
+    """A frame in memory; what `mrbatch.batch.request.FrameResult` asks for."""
+
+    image: FrameImage
+    counters: Mapping[str, int]
+    seconds: float
+    history: Mapping[str, np.ndarray] | None
+    details: Mapping[str, Any]
+    composites: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """By view the finished picture (h, w, 3) float32 on the data window, for previews."""
+
+    def write(self, path: Path) -> None:
+        write_frame(path, self.image)
+
+
+class ShotRenderer:
+    """Scene on the device, compiled kernels, and `render(number, history)`."""
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        timing: TimingNode,
+        *,
+        threads: int | None = None,
+        units_per_launch: int | None = None,
+        progress: Callable[[int, float], None] = lambda number, share: None,
+    ) -> None:
+        self.prepared = prepared
+        self.timing = timing
+        self.progress = progress
+        job, shot = prepared.job, prepared.shot
+        self.runner = Runner(threads, units_per_launch=units_per_launch)
+        cameras = first_cameras(prepared)
+        views = tuple(
+            ViewOutput(
+                name, index, prepared.windows[name], camera.model, bool(np.any(camera.distortion != 0.0))
+            )
+            for index, (name, camera) in enumerate(cameras.items())
+        )
+        self.outputs = Outputs(views, prepared.needs, job.seed, shot.engine)  # type: ignore[arg-type]
+        with timing.measure("upload"):
+            self.scene = upload(prepared.scene, shot.engine)  # type: ignore[arg-type]
+        with timing.measure("build"):
+            sources = [
+                Source("method", job.method_object.build(self.scene, shot.plan, job.method, self.outputs))
+            ]
+            for number, (participant, settings) in enumerate(
+                zip(job.participant_objects, job.participants, strict=True)
+            ):
+                pipeline = participant.build(self.scene, shot.plan, settings, self.outputs)
+                sources.append(Source(f"{participant.name}.{number}", pipeline))
+        self.renderer = FrameRenderer(self.runner, sources, self.outputs, timing)
+        self._object_ids = np.array([name_id(o.name) for o in prepared.scene.objects], dtype=np.uint32)
+        self._settings = pixel_relevant(job)
+
+    @property
+    def has_history(self) -> bool:
+        return self.renderer.has_history
+
+    def close(self) -> None:
+        self.runner.close()
+
+    def __enter__(self) -> ShotRenderer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _next_cameras(self, number: int) -> Mapping[str, Camera]:
+        if "motion" not in self.outputs.needs:
+            return {}
+        frames = self.prepared.shot.frames
+        at = frames.index(number)
+        if at + 1 == len(frames):
+            return {}
+        return frame_facts(
+            self.prepared.capture, self.prepared.shot.table, frames[at + 1], self.prepared.display
+        ).cameras
+
+    def render(self, number: int, history: Mapping[str, np.ndarray] | None) -> RenderedFrame:
+        """One frame. Raises InputError where its picture cannot be read."""
+        start = time.perf_counter()
+        prepared = self.prepared
+        timing = TimingNode(f"frame {number}")
+        with timing.measure("read"):
+            data = prepared.capture.frame(number, prepared.shot.table)
+            later = self._next_cameras(number)
+            views: dict[str, ViewInput] = {}
+            mattes: dict[str, np.ndarray | None] = {}
+            for view in self.outputs.views:
+                given = data.views[view.name]
+                size, window = prepared.display[view.name], prepared.windows[view.name]
+                views[view.name] = ViewInput(
+                    camera=given.camera.scaled(*size),
+                    background=framed(given.background, size, window),
+                    gain=np.asarray(given.gain, dtype=np.float64),
+                    next_camera=later.get(view.name),
+                )
+                mattes[view.name] = None if given.matte is None else framed(given.matte, size, window)
+        tiles = {view.name: prepared.shot.plan.tiles[number, view.name] for view in self.outputs.views}
+        self.renderer.timing = timing
+        rendered = self.renderer.render(
+            number,
+            views,
+            self.samples,
+            tiles=tiles,
+            history=history,
+            progress=lambda share: self.progress(number, share),
+        )
+        with timing.measure("develop"):
+            images: dict[str, ViewImage] = {}
+            composites: dict[str, np.ndarray] = {}
+            errors: dict[str, float] = {}
+            for view in self.outputs.views:
+                estimates, error = self._estimates(view, views[view.name], mattes[view.name], rendered)
+                made = channels(prepared.layers, estimates)
+                images[view.name] = ViewImage(made, views[view.name].camera, self._cryptomatte_attributes())
+                composites[view.name] = np.stack([made["R"], made["G"], made["B"]], axis=-1)
+                errors[view.name] = error
+        counters = timing.total_counters()
+        job, shot = prepared.job, prepared.shot
+        metadata = {
+            "job_hash": prepared.job_hash,
+            "frame": number,
+            "seconds": data.time,
+            "method": job.method_name,
+            "settings": self._settings,
+            "plan": {name: v.state for name, v in shot.plan.effects.items()},
+            "influence": {view.name: shot.plan.influence[number, view.name] for view in self.outputs.views},
+            "counters": counters,
+            "seed": job.seed,
+            "engine": shot.engine,
+            "colour_type": shot.colour_reason,
+            "error_estimate": {"relMSE": errors, "of": "noise, where something virtual changes the picture"},
+            "versions": {"mrbatch": __version__},
+            "flags": list(data.flags),
+        }
+        image = FrameImage(
+            number=number,
+            views=images,
+            display=next(iter(prepared.display.values())),
+            window=next(iter(prepared.windows.values())),
+            colour_type=shot.colour_type,  # type: ignore[arg-type]
+            compression=job.output.compression,
+            frames_per_second=prepared.facts.frame_rate,
+            owner=job.output.owner,
+            metadata=metadata,
+        )
+        seconds = time.perf_counter() - start
+        timing.seconds, timing.calls = seconds, 1
+        self.timing.child("frames").merge(_renamed(timing, "frames"))
+        details = {
+            "time": data.time,
+            "flags": list(data.flags),
+            "error": max(errors.values()) if errors else 0.0,
+            "timing": timing.as_dict(),
+        }
+        return RenderedFrame(image, counters, seconds, rendered.history or None, details, composites)
+
+    @property
+    def samples(self) -> int:
+        return int(getattr(self.prepared.job.method, "spp", 2))
+
+    def _estimates(
+        self, view: ViewOutput, given: ViewInput, matte: np.ndarray | None, rendered: Any
+    ) -> tuple[dict[str, np.ndarray], float]:
+        """Host arrays by `layers.ESTIMATES`, and the estimated relMSE of what changed."""
+        sources = rendered.estimates[view.name]
+        developed = sources["method"]
+        laid = Contribution(developed.P, developed.a, developed.D, developed.indirect)
+        variance = developed.variance
+        samples = developed.samples
+        for name, other in sources.items():
+            if name != "method":
+                laid = over(Contribution(other.P, other.a, other.D, other.indirect), laid)
+                variance = other.variance + ((1 - other.a)[..., None] ** 2) * variance
+                samples = np.maximum(samples, other.samples)
+        laid = behind_matte(laid, matte)
+        if matte is not None:
+            variance = variance * ((1 - matte)[..., None] ** 2)
+        estimates = {
+            "P": laid.P,
+            "a": laid.a,
+            "D": laid.D,
+            "B": given.background,
+            "variance": variance,
+            "samples": samples,
+        }
+        if laid.D_indirect is not None:
+            estimates["D_indirect"] = laid.D_indirect
+        estimates.update(first_hit_estimates(view, self.outputs, rendered.buffers, self._object_ids))
+        picture = composite(laid.P, laid.a, given.background, laid.D)
+        changed = (laid.a > 0) | np.any(laid.D != 0, axis=-1)
+        error = 0.0
+        if changed.any():
+            square = picture[changed] ** 2
+            error = float(np.mean(variance[changed] / (square + 1e-2 * square.mean() + 1e-30)))
+        return estimates, error
+
+    def _cryptomatte_attributes(self) -> dict[str, str]:
+        from mrbatch.film import cryptomatte
+
+        names = [o.name for o in self.prepared.scene.objects]
+        found: dict[str, str] = {}
+        for layer, kind in CRYPTOMATTES.items():
+            if layer in self.prepared.layers:
+                found.update(cryptomatte.metadata(kind, names))
+        return found
+
+
+def _renamed(node: TimingNode, name: str) -> TimingNode:
+    return TimingNode(
+        name, node.seconds, node.thread_seconds, node.calls, node.launches, node.counters, node.children
+    )
