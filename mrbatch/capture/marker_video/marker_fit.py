@@ -267,8 +267,11 @@ def _model(
     value = black + contrast * shown
     # moving the drawn pattern by dx changes the pixel by -grad . dx; dx comes from the corners
     # through the derivative of the homography's eight numbers
-    inverse_jacobian = np.linalg.inv(_jacobian(h, uv))
-    gradient = (np.column_stack([du, dv])[:, None, :] @ inverse_jacobian)[:, 0, :] * contrast[:, None]
+    j = _jacobian(h, uv)
+    scale = contrast / (j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0])
+    gradient = np.column_stack(
+        [scale * (du * j[:, 1, 1] - dv * j[:, 1, 0]), scale * (dv * j[:, 0, 0] - du * j[:, 0, 1])]
+    )
     moved = _by_numbers(h, uv, gradient)
     corner_uv = np.array([[0, 0], [cells, 0], [cells, cells], [0, cells]], dtype=np.float64)
     at_corners = np.concatenate(

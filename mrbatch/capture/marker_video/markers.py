@@ -186,6 +186,12 @@ class TargetDetector:
             placed = {i: world_from_layout @ m for i, m in placed.items()}
         return {i: corners @ m[:3, :3].T + m[:3, 3] for i, m in placed.items()}
 
+    def _corners_of(self, marker: int) -> np.ndarray:
+        if self._corners is not None:
+            return self._corners[marker]
+        assert self.target.tags
+        return marker_corners(self.target.tags.side)
+
     def detect(self, grey: np.ndarray) -> Detection:
         """The target's points in a picture (height, width): uint8 or uint16 codes, or linear floats."""
         codes = grey_codes(grey)
@@ -199,7 +205,7 @@ class TargetDetector:
             for i, quads in markers.items()
             if len(quads) > 1
         }
-        if self._board is not None and self.target.board and self.target.board.type == "charuco":
+        if self.target.board and self.target.board.type == "charuco":
             corners = self._chess_corners(codes, markers)
             if corners is not None:
                 points_2d, points_3d, ids = corners
@@ -222,7 +228,7 @@ class TargetDetector:
         """Corners of the ChArUco board, or None where too few or all in one line are seen."""
         import cv2
 
-        if not markers:
+        if not markers or self._board is None or self.target.board is None:
             return None
         found, ids, _, _ = cv2.aruco.CharucoDetector(self._board).detectBoard(codes)
         if ids is None or len(ids) < 6:
@@ -251,8 +257,7 @@ class TargetDetector:
                     repaired[i] = fit.wrong_bits
             points_2d.append(quad)
             blocks.append(block)
-            known = self._corners[i] if self._corners is not None else marker_corners(self.target.tags.side)
-            points_3d.append(known)
+            points_3d.append(self._corners_of(i))
             ids.append(np.full(4, i))
         if not points_2d:
             empty = np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros((0, 0))

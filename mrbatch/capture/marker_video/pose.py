@@ -218,7 +218,7 @@ def _table(
             covariance=own[i] * pose_covariance(root, looked[i][2], calibration),
             flags=_flags(root, looked[i][2], doubtful),
         )
-    good = [row.rms for row in rows if row.world_from_camera is not None]
+    good = [row.rms for row in rows if row.world_from_camera is not None and row.rms is not None]
     if not good:
         raise InputError(
             "the target is seen, but no frame gives a pose: "
@@ -316,8 +316,9 @@ def _doubtful(frame: list[Root], best: int, total: np.ndarray, single: list[floa
 
 def _jump(a: Root, b: Root) -> float:
     p, q = a.world_from_camera, b.world_from_camera
-    distance = 0.5 * (np.linalg.norm(p[:3, 3]) + np.linalg.norm(q[:3, 3]))
-    return angle_between(p, q) + float(np.linalg.norm(p[:3, 3] - q[:3, 3]) / max(distance, 1e-12))
+    distance = 0.5 * float(np.linalg.norm(p[:3, 3]) + np.linalg.norm(q[:3, 3]))
+    shift = float(np.linalg.norm(p[:3, 3] - q[:3, 3]))
+    return angle_between(p, q) + shift / max(distance, 1e-12)
 
 
 def fill_lost(rows: list[FramePose], lost: LostPolicy) -> list[FramePose]:
@@ -338,6 +339,7 @@ def fill_lost(rows: list[FramePose], lost: LostPolicy) -> list[FramePose]:
     for i, row in enumerate(rows):
         if row.world_from_camera is not None:
             continue
+        pose: np.ndarray | None
         before = max((k for k in known if k < i), default=None)
         after = min((k for k in known if k > i), default=None)
         if lost == "interpolate" and before is not None and after is not None:
