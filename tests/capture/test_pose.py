@@ -11,7 +11,7 @@ from rendered_marker import board_page, errors, look_at, marker_page, photograph
 
 from mrbatch.capture.marker_video.calibration import make_calibration
 from mrbatch.capture.marker_video.markers import Detection, marker_corners, opencv_board
-from mrbatch.capture.marker_video.pose import FramePose, _table, interpolate, solve_poses
+from mrbatch.capture.marker_video.pose import FramePose, _table, fill_lost, interpolate, solve_poses
 from mrbatch.capture.marker_video.pose_solver import pose_covariance, project, solve
 from mrbatch.capture.marker_video.tag_layout import estimate_layout, place
 from mrbatch.capture.marker_video.target_settings import TagsSettings, TargetSettings
@@ -190,6 +190,14 @@ def test_policies_for_lost_frames(gap_shot):
     with pytest.raises(InputError, match=r"3 of 8 frames: 103 \(lost\), 104") as caught:
         solve_poses(gap_shot, CALIBRATION, MARKER, lost="stop")
     assert caught.value.place.frame == 103
+
+
+def test_frames_before_the_first_pose():
+    rows = [FramePose(0, 0.0, None, flags=("lost",)), FramePose(1, 1.0, np.eye(4))]
+    assert fill_lost(rows, "hold-last")[0].world_from_camera is None
+    early = fill_lost(rows, "interpolate")[0]
+    assert early.flags == ("lost", "held")
+    np.testing.assert_array_equal(early.world_from_camera, np.eye(4))
 
 
 def test_interpolation_is_a_constant_turn():

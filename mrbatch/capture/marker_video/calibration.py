@@ -19,11 +19,15 @@ import numpy as np
 from mrbatch.errors import InputError, Place
 from mrbatch.scene.camera import Camera
 
-MATRIX_KEYS = ("camera_matrix", "K", "cameraMatrix", "Camera_Matrix", "CameraMatrix", "camera_mat")
-MATRIX_KEYS += ("matrix", "mtx", "intrinsic_matrix", "intrinsics", "M", "cam_mtx")
-DISTORTION_KEYS = ("distortion_coefficients", "Distortion_Coefficients", "dist", "dist_coeffs")
-DISTORTION_KEYS += ("distCoeffs", "distortion", "D", "dist_coefs", "distortion_coefs", "distCoeff")
-DISTORTION_KEYS += ("dist_coef", "coeffs", "DistCoeffs")
+MATRIX_KEYS: tuple[str, ...] = (
+    *("camera_matrix", "K", "cameraMatrix", "Camera_Matrix", "CameraMatrix", "camera_mat"),
+    *("matrix", "mtx", "intrinsic_matrix", "intrinsics", "M", "cam_mtx"),
+)
+DISTORTION_KEYS: tuple[str, ...] = (
+    *("distortion_coefficients", "Distortion_Coefficients", "dist", "dist_coeffs", "distCoeffs"),
+    *("distortion", "D", "dist_coefs", "distortion_coefs", "distCoeff", "dist_coef", "coeffs"),
+    "DistCoeffs",
+)
 SIZE_KEYS = ("image_size", "imageSize", "resolution", "size", "img_size")
 WIDTH_KEYS = ("image_width", "width", "Image_Width", "imageWidth", "image_Width")
 HEIGHT_KEYS = ("image_height", "height", "Image_Height", "imageHeight", "image_Height")
@@ -217,16 +221,20 @@ def _from_mapping(content: Mapping[str, Any], source: str, centres: PixelCentres
     size = _first(content, SIZE_KEYS)
     if width is None and height is None and size is not None and np.size(size) == 2:
         width, height = np.asarray(size).ravel()
-    said = content.get("pixel_centres")
-    said = str(said) if said is not None else None
-    if said not in (None, "integer", "half"):
+    said = content.get("pixel_centres", "integer")
+    if said not in ("integer", "half"):
         raise InputError(f"`pixel_centres` is `{said}`, expected integer or half", place=place)
     try:
         pixels = [None if v is None else int(np.asarray(v).ravel()[0]) for v in (width, height)]
     except (TypeError, ValueError, IndexError):
         raise InputError("the image's width and height are not numbers", place=place) from None
     return make_calibration(
-        matrix, distortion, pixels[0], pixels[1], pixel_centres=centres or said or "integer", source=source
+        matrix,
+        distortion,
+        pixels[0],
+        pixels[1],
+        pixel_centres=centres or ("half" if said == "half" else "integer"),
+        source=source,
     )
 
 

@@ -97,9 +97,11 @@ def opencv_board(settings: BoardSettings):
     dictionary = _dictionary(settings.dictionary)
     ids = np.arange(settings.first_id, settings.first_id + settings.marker_count, dtype=np.int32)
     if settings.type == "grid":
+        assert settings.separation is not None
         return cv2.aruco.GridBoard(
             settings.squares, settings.marker, settings.separation, dictionary, ids=ids
         )
+    assert settings.square is not None
     board = cv2.aruco.CharucoBoard(settings.squares, settings.square, settings.marker, dictionary, ids=ids)
     if settings.legacy:
         board.setLegacyPattern(True)
@@ -118,7 +120,8 @@ def marker_bits(dictionary: str, marker: int) -> np.ndarray:
 
     entry = _dictionary(dictionary)
     packed = entry.bytesList[marker : marker + 1]
-    return cv2.aruco.Dictionary_getBitsFromByteList(packed, entry.markerSize).astype(bool)
+    bits = cv2.aruco.Dictionary_getBitsFromByteList(packed, entry.markerSize)  # type: ignore[attr-defined]
+    return bits.astype(bool)
 
 
 def grey_codes(grey: np.ndarray) -> np.ndarray:
@@ -169,7 +172,7 @@ class TargetDetector:
         target = self.target
         if target.marker:
             return {target.marker.id: marker_corners(target.marker.side)}
-        if target.board:
+        if target.board and self._board is not None:
             to_ours = board_from_opencv(target.board)
             points = [np.asarray(p, dtype=np.float64) for p in self._board.getObjPoints()]
             return {
@@ -201,7 +204,7 @@ class TargetDetector:
             found = self._wanted(detect_markers(codes, self.target.dictionary, april=True), found[1])
         markers, others = found
         duplicates = {
-            i: tuple(tuple(float(x) for x in q.mean(axis=0)) for q in quads)
+            i: tuple((float(q[:, 0].mean()), float(q[:, 1].mean())) for q in quads)
             for i, quads in markers.items()
             if len(quads) > 1
         }
