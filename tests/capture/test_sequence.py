@@ -15,7 +15,8 @@ from mrbatch.kernels.transfer import from_linear
 
 def write_oiio(path, values, kind=None, names=None, **attributes):
     height, width, channels = values.shape
-    spec = oiio.ImageSpec(width, height, channels, kind or str(values.dtype))
+    kind = kind or {"float16": "half", "float32": "float"}.get(str(values.dtype), str(values.dtype))
+    spec = oiio.ImageSpec(width, height, channels, kind)
     if names:
         spec.channelnames = names
     for name, value in attributes.items():
@@ -220,6 +221,29 @@ def test_cut_files_are_refused_with_their_frame(tmp_path, name, keep):
     with pytest.raises(InputError) as caught:
         read_picture(path, colour, ColourSettings(), 12)
     assert caught.value.place.frame == 12
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.exr"])
+def test_hostile_bytes_end_in_a_clear_error_or_a_picture(tmp_path, name):
+    rng = np.random.default_rng(8)
+    good = tmp_path / f"good_{name}"
+    if name.endswith("exr"):
+        write_oiio(good, rng.random((24, 24, 3)).astype(np.float32))
+    else:
+        cv2.imwrite(str(good), rng.integers(0, 256, (24, 24, 3)).astype(np.uint8))
+    data = good.read_bytes()
+    path = tmp_path / name
+    for trial in range(60):
+        broken = bytearray(data)
+        span = len(broken) if trial % 2 else min(len(broken), 128)  # headers more often than pixels
+        for at in rng.integers(0, span, 1 + trial % 5):
+            broken[at] = rng.integers(0, 256)
+        path.write_bytes(broken[: rng.integers(1, len(broken))] if trial % 7 == 0 else broken)
+        try:
+            picture, _, _ = read(path)
+        except InputError:
+            continue
+        assert np.isfinite(picture.linear).all() and picture.linear.min() >= 0.0
 
 
 def test_a_sequence_is_encoded_alike(tmp_path):

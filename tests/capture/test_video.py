@@ -437,6 +437,26 @@ def test_a_damaged_frame_costs_itself_and_what_needs_it(tmp_path):
         assert lost([i]) == ({i} & set(range(14, 20)))
 
 
+@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "libx264"), ("a.mkv", "ffv1"), ("a.avi", "mpeg4")])
+def test_hostile_bytes_end_in_a_clear_error_or_a_picture(tmp_path, name, codec):
+    whole = write(tmp_path / f"good_{name}", codec, "yuv420p", grey_frames(6)).read_bytes()
+    rng = np.random.default_rng(9)
+    path = tmp_path / name
+    for trial in range(150):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), 1 + trial % 6):
+            data[at] = rng.integers(0, 256)
+        path.write_bytes(data[: rng.integers(1, len(data))] if trial % 7 == 0 else data)
+        try:
+            with VideoReader(path, build_frame_table(path)) as reader:
+                info = reader.probe(ColourSettings())
+                for i in range(min(len(reader.table), 8)):
+                    linear = reader.picture(i, info).linear
+                    assert np.isfinite(linear).all() and linear.min() >= 0.0
+        except InputError:
+            continue
+
+
 @pytest.mark.data
 def test_the_real_panorama_video_opens(shared_data):
     path = shared_data / "rgbd360" / "kandao_room_video" / "kandao.mp4"

@@ -133,13 +133,13 @@ def decide_colour(tags: VideoTags, settings: ColourSettings, place: Place) -> tu
     for JPEG). Raises InputError for a tag that is not supported and not overridden.
     """
     notes = []
-    transfer = None if settings.transfer == "auto" else settings.transfer
+    transfer: str | None = None if settings.transfer == "auto" else settings.transfer
     if transfer is None:
         transfer = _tagged("transfer", tags.transfer, _H273_TRANSFERS, "transfer", place)
     if transfer is None:
         transfer = "srgb" if tags.layout == "rgb" or tags.jpeg else "bt709"
         notes.append(f"transfer function not tagged: {transfer} assumed")
-    primaries = None if settings.primaries == "auto" else settings.primaries
+    primaries: str | None = None if settings.primaries == "auto" else settings.primaries
     if primaries is None:
         primaries = _tagged("primaries", tags.primaries, _H273_PRIMARIES, "primaries", place) or "bt709"
     range_ = None if settings.range == "auto" else settings.range
@@ -151,7 +151,7 @@ def decide_colour(tags: VideoTags, settings: ColourSettings, place: Place) -> tu
             notes.append(f"code range not tagged: {range_} assumed")
     matrix = chroma = "none"
     if tags.layout == "yuv":
-        chosen = None if settings.matrix == "auto" else settings.matrix
+        chosen: str | None = None if settings.matrix == "auto" else settings.matrix
         if chosen is None:
             chosen = _tagged("matrix", tags.matrix, _H273_MATRICES, "matrix", place)
         if chosen is None:
@@ -159,7 +159,7 @@ def decide_colour(tags: VideoTags, settings: ColourSettings, place: Place) -> tu
             notes.append(f"Y'CbCr matrix not tagged: {chosen} assumed")
         matrix = chosen
         if tags.subsampled:
-            siting = None if settings.chroma == "auto" else settings.chroma
+            siting: str | None = None if settings.chroma == "auto" else settings.chroma
             siting = siting or tags.chroma
             if siting is None:
                 siting = "centre" if tags.jpeg else "left"

@@ -28,7 +28,7 @@ from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import rec709_from_primaries
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".exr", ".bmp", ".tga", ".hdr", ".ppm")
-MAX_PIXELS = 2**28
+MAX_PIXELS = 2**27
 """A picture that claims more is refused before memory is asked for."""
 _PATTERN = re.compile(r"(#+|%0?(\d*)d|\*)")
 _CHANNELS = {1: (("Y",), ("R",), ("I",), ("L",)), 3: (("R", "G", "B"),)}
@@ -155,11 +155,21 @@ def read_stored(path: Path, frame: int | None = None) -> StoredPicture:
 
     EXIF orientation is applied as viewers do. An EXR's data window is laid into its display window.
     """
-    import OpenImageIO as oiio
-
     place = Place(file=str(path), frame=frame)
     if not path.is_file():
         raise InputError("there is no such picture", place=place)
+    try:
+        return _read_stored(path, place)
+    except (UnicodeDecodeError, ValueError, RuntimeError, MemoryError) as error:
+        # A damaged header can even make OpenImageIO's own messages and names unreadable.
+        raise InputError(
+            f"cannot read the picture: its header is damaged ({type(error).__name__})", place=place
+        ) from None
+
+
+def _read_stored(path: Path, place: Place) -> StoredPicture:
+    import OpenImageIO as oiio
+
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     config.attribute("oiio:RawColor", 1)
@@ -169,14 +179,7 @@ def read_stored(path: Path, frame: int | None = None) -> StoredPicture:
         raise InputError(f"cannot read the picture: {reason}", place=place, hint="is the file complete?")
     try:
         spec = source.spec()
-        kind = str(spec.format)
-        if spec.width * spec.height > MAX_PIXELS or spec.full_width * spec.full_height > MAX_PIXELS:
-            raise InputError(f"the picture claims {spec.width}x{spec.height} pixels", place=place)
-        if kind not in ("uint8", "uint16", "half", "float") or spec.deep or spec.depth > 1:
-            what = "deep" if spec.deep else f"{kind} pixels"
-            raise InputError(
-                f"{what} are not supported", place=place, hint="write 8 or 16 bits, half or float"
-            )
+        _check_header(spec, place)
         values = source.read_image(0, 0, 0, spec.nchannels, spec.format)
         reason = source.geterror()
         # A decoder that got to the end of a cut file hands out grey with its complaint.
@@ -195,7 +198,6 @@ def read_stored(path: Path, frame: int | None = None) -> StoredPicture:
             values = _upright(values, orientation)
             flags.append("turned-by-exif")
         about = {
-            "kind": kind,
             "space": spec.get_string_attribute("oiio:ColorSpace"),
             "profile": spec.get_string_attribute("ICCProfile:profile_description"),
             "chromaticities": spec.getattribute("chromaticities"),
@@ -203,6 +205,18 @@ def read_stored(path: Path, frame: int | None = None) -> StoredPicture:
         return StoredPicture(values, tuple(spec.channelnames), about, tuple(flags))
     finally:
         source.close()
+
+
+def _check_header(spec: Any, place: Place) -> None:
+    """Raises InputError for sizes and number types that are not read, before memory is asked for."""
+    kind = str(spec.format)
+    if max(spec.width * spec.height, spec.full_width * spec.full_height) > MAX_PIXELS or spec.nchannels > 64:
+        raise InputError(
+            f"the picture claims {spec.width}x{spec.height} pixels of {spec.nchannels} channels", place=place
+        )
+    if kind not in ("uint8", "uint16", "half", "float") or spec.deep or spec.depth > 1:
+        what = "deep pixels" if spec.deep else f"{kind} pixels"
+        raise InputError(f"{what} are not supported", place=place, hint="write 8 or 16 bits, half or float")
 
 
 def _first_line(text: str) -> str:
@@ -253,7 +267,7 @@ def picture_colour(
     elif transfer == "auto":
         space = (stored.about["space"] or "").lower()
         transfer = "linear" if space.startswith("lin") else "gamma22" if space.startswith("g22") else "srgb"
-    primaries = "bt709" if settings.primaries == "auto" else settings.primaries
+    primaries: str = "bt709" if settings.primaries == "auto" else settings.primaries
     matrix = rec709_from_primaries(primaries)
     if settings.primaries == "auto":
         profile = stored.about["profile"] or ""
@@ -315,7 +329,8 @@ def read_picture(path: Path, colour: Colour, settings: ColourSettings, frame: in
     if own != colour:
         raise InputError(
             "the picture is encoded otherwise than the first: "
-            f"{own.bits} bits {own.transfer} {own.primaries}, not {colour.bits} bits {colour.transfer} {colour.primaries}",
+            f"{own.bits} bits {own.transfer} {own.primaries}, "
+            f"not {colour.bits} bits {colour.transfer} {colour.primaries}",
             place=place,
             hint="write all pictures of a sequence alike",
         )

@@ -21,10 +21,8 @@ from mrbatch.capture.marker_video.planes import PIXEL_FORMATS, PixelFormat, chro
 from mrbatch.capture.marker_video.settings import ColourSettings
 from mrbatch.errors import InputError, Place
 
-MAX_PIXELS = 2**28
+MAX_PIXELS = 2**27
 """A picture that claims more is refused before memory is asked for."""
-VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mxf", ".mts", ".m2ts", ".ts", ".mpg")
-VIDEO_SUFFIXES += (".mpeg", ".wmv", ".3gp", ".nut", ".y4m", ".ogv")
 _AHEAD = 8
 """Up to so many frames ahead, decoding on is cheaper than a seek."""
 
@@ -36,6 +34,7 @@ class FrameTable:
     `pts`: presentation time stamps in units of `time_base` (s), strictly increasing. `order`: place of
     each frame among all packets in decoding order. `keys`: (pts, place) of the packets from which
     decoding can start, by pts. `announced`: packets that the file's index names, `packets`: found.
+    `rate`: frames per second as the file names or implies it, None where it does neither.
     """
 
     pts: tuple[int, ...]
@@ -44,6 +43,7 @@ class FrameTable:
     keys: tuple[tuple[int, int], ...]
     announced: int = 0
     packets: int = 0
+    rate: Fraction | None = None
 
     def __len__(self) -> int:
         return len(self.pts)
@@ -60,6 +60,7 @@ class FrameTable:
             "keys": [list(key) for key in self.keys],
             "announced": self.announced,
             "packets": self.packets,
+            "rate": None if self.rate is None else str(self.rate),
         }
 
     @staticmethod
@@ -71,6 +72,7 @@ class FrameTable:
             tuple((int(pts), int(place)) for pts, place in data["keys"]),
             data["announced"],
             data["packets"],
+            None if data["rate"] is None else Fraction(data["rate"]),
         )
 
 
@@ -103,6 +105,9 @@ def _open(path: Path) -> tuple[Any, Any]:
         container.close()
         raise InputError("there is no video stream in the file", place=place)
     stream = streams[0]
+    if stream.codec_context is None or not stream.time_base:
+        container.close()
+        raise InputError("there is no decoder for the video stream", place=place, hint="convert it to H.264")
     width, height = stream.codec_context.width, stream.codec_context.height
     if width * height > MAX_PIXELS:
         container.close()
@@ -132,6 +137,7 @@ def build_frame_table(path: Path) -> FrameTable:
     with _opened(path) as (container, stream):
         time_base = Fraction(stream.time_base)
         announced = len(stream.index_entries)
+        rate = stream.guessed_rate or stream.average_rate
         try:
             for packet in container.demux(stream):
                 if packet.size:
@@ -155,13 +161,14 @@ def build_frame_table(path: Path) -> FrameTable:
         tuple(keys),  # type: ignore[arg-type]
         announced,
         len(packets),
+        Fraction(rate) if rate else None,
     )
 
 
-def _decoded_stamps(path: Path) -> list[tuple[int, bool, bool]]:
+def _decoded_stamps(path: Path) -> list[tuple[int | None, bool, bool]]:
     import av
 
-    stamps: list[tuple[int, bool, bool]] = []
+    stamps: list[tuple[int | None, bool, bool]] = []
     with _opened(path) as (container, stream):
         for packet in container.demux(stream):
             try:
@@ -378,7 +385,10 @@ class VideoReader:
 
     def picture(self, index: int, info: VideoInfo) -> Picture:
         """One frame, scene-linear. Raises InputError: unreadable, or another size or format midway."""
-        frame = self.frame(index)
+        return self.convert(self.frame(index), index, info)
+
+    def convert(self, frame: Any, index: int, info: VideoInfo) -> Picture:
+        """A decoded frame, scene-linear; may run beside the decoding of another. Raises InputError."""
         place = Place(file=str(self.path), frame=index)
         width, height = (frame.height, frame.width) if info.turn % 2 else (frame.width, frame.height)
         if (width, height) != (info.width, info.height):

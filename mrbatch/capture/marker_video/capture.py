@@ -1,0 +1,333 @@
+"""The marker video as a capture: once a shot its table, then frames, one at a time.
+
+The table holds all that was found out (how codes are read, when frames are shown, poses, gains), so
+that a frame is a pure function of settings, number and table on any machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mrbatch.capture.frame import CaptureFacts, FrameData, ViewData, ViewGeometry
+from mrbatch.capture.marker_video.calibration import Calibration, load_calibration, make_calibration
+from mrbatch.capture.marker_video.footage import Footage, open_footage
+from mrbatch.capture.marker_video.gain import Gain, load_gains, patch_gain
+from mrbatch.capture.marker_video.matte import Mattes
+from mrbatch.capture.marker_video.pose_file import load_poses
+from mrbatch.capture.marker_video.settings import CameraSettings, MarkerVideoSettings
+from mrbatch.errors import InputError, Place
+from mrbatch.kernels.transfer import from_linear
+from mrbatch.scene.camera import Camera
+
+VIEW = ""
+"""Name of the one view of a mono capture."""
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+SolvePoses = Callable[..., Any]
+"""`mrbatch.capture.marker_video.pose.solve_poses` or a stand-in for it."""
+
+
+def read_calibration(settings: CameraSettings) -> Calibration:
+    """The camera's intrinsics from file or settings. Raises InputError."""
+    if settings.file is not None:
+        return load_calibration(settings.file, section=settings.section, pixel_centres=settings.pixel_centres)
+    return make_calibration(
+        settings.matrix,
+        settings.distortion,
+        settings.width,
+        settings.height,
+        pixel_centres=settings.pixel_centres or "integer",
+        source="capture.camera",
+    )
+
+
+def grey_codes_of(linear: np.ndarray, floating: bool) -> np.ndarray:
+    """(height, width) luminance for finding markers: 16-bit sRGB codes, or linear floats as they are."""
+    r, g, b = (linear[..., c] * _LUMINANCE[c] for c in range(3))
+    luminance = r + g + b
+    return luminance if floating else from_linear(luminance, "srgb", 16)
+
+
+class MarkerVideoCapture:
+    """A marker video; see `mrbatch.contracts.Capture`.
+
+    `folder`: what relative paths in the settings count from. `solve`: stands in for `solve_poses`.
+    """
+
+    def __init__(self, settings: MarkerVideoSettings, folder: Path, *, solve: SolvePoses | None = None):
+        self.settings = _absolute(settings, Path(folder))
+        self._solve = solve
+        self._footage: Footage | None = None
+        self._mattes = Mattes(self.settings.mattes) if self.settings.mattes is not None else None
+        self._posed: tuple[int, ...] | None = None
+
+    def close(self) -> None:
+        """Lets go of open files."""
+        if self._footage is not None:
+            self._footage.close()
+
+    def _opened(self, table: Mapping[str, Any] | None = None) -> Footage:
+        if self._footage is None:
+            self._footage = open_footage(self.settings, table["footage"] if table else None)
+        return self._footage
+
+    def _chosen(self) -> tuple[int, ...]:
+        """Numbers of the frames that the job's subset leaves."""
+        subset, footage = self.settings.subset, self._opened()
+        numbers = []
+        for number in footage.numbers:
+            time = float(footage.time(number))  # as exact as the limits, which are floats
+            if (
+                (subset.first is None or number >= subset.first)
+                and (subset.last is None or number <= subset.last)
+                and (subset.from_time is None or time >= subset.from_time)
+                and (subset.to_time is None or time < subset.to_time)
+            ):
+                numbers.append(number)
+        numbers = [n for n in numbers if (n - numbers[0]) % subset.step == 0]
+        if not numbers:
+            every = footage.numbers
+            raise InputError(
+                f"`capture.subset` leaves no frame of {every[0]} to {every[-1]}",
+                place=Place(file=str(self.settings.frames[0])),
+            )
+        return tuple(numbers)
+
+    def frame_numbers(self) -> Sequence[int]:
+        """All frames of the subset; after `prepare`, without those that have no pose (`lost: skip`)."""
+        return self._posed if self._posed is not None else self._chosen()
+
+    def inputs(self) -> Sequence[Path]:
+        settings, numbers = self.settings, tuple(self._chosen())
+        paths = self._opened().paths(numbers)
+        for path in (settings.camera.file, settings.poses, settings.gain.file):
+            if path is not None:
+                paths.append(path)
+        if self._mattes is not None:
+            paths += [self._mattes.path(n) for n in numbers if n in self._mattes.sequence.numbers]
+        return paths
+
+    def prepare(self) -> Mapping[str, Any]:
+        """Sees the shot once. Raises InputError: what no frame can be rendered without.
+
+        Keys: `frames` (numbers with a pose, and broken ones), `times` (s, float, one for each),
+        `footage` (how it is read), `camera`, `poses` (world_from_camera by number), `gains`, `flags`,
+        `broken` (message by number), `missing`, `skipped`, `pose_report`, `notes`, `frame_rate`.
+        """
+        footage, numbers = self._opened(), self._chosen()
+        about = footage.describe()
+        calibration = read_calibration(self.settings.camera)
+        width, height = about["width"], about["height"]
+        calibration.check_size(width, height, Place(file=str(footage.paths(numbers[:1])[0])))
+        if self._mattes is not None:
+            self._mattes.check(numbers)
+        notes = list(about["notes"])
+        missing = [n for n in footage.missing if numbers[0] < n < numbers[-1]]
+        if missing:
+            shown = ", ".join(map(str, missing[:20])) + (" ..." if len(missing) > 20 else "")
+            notes.append(f"{len(missing)} frames are missing in the sequence: {shown}")
+        broken: dict[int, str] = {}
+        rows, report = self._poses(footage, numbers, about, calibration, broken)
+        place_marker = self.settings.world_from_marker.array()
+        poses, flags = {}, {}
+        for row in rows:
+            if row.world_from_camera is not None:
+                poses[row.number] = (place_marker @ row.world_from_camera).tolist()
+            if row.flags:
+                flags[row.number] = [f"pose-{flag}" for flag in row.flags]
+        skipped = [n for n in numbers if n not in poses and n not in broken]
+        frames = [n for n in numbers if n in poses or n in broken]
+        if not poses:
+            raise InputError("no frame has a pose", place=Place(frame=numbers[0]))
+        if skipped:
+            notes.append(f"{len(skipped)} frames without a pose are left out: {skipped[:20]}")
+        if broken:
+            notes.append(f"{len(broken)} frames cannot be read: {sorted(broken)[:20]}")
+        gains = self._gains(footage, frames, about)
+        self._posed = tuple(frames)
+        return {
+            "kind": "marker-video",
+            "frames": frames,
+            "times": [float(footage.time(n)) for n in frames],
+            "frame_rate": None if footage.rate is None else str(footage.rate),
+            "footage": about,
+            "camera": {
+                "width": width,
+                "height": height,
+                "matrix": calibration.matrix.tolist(),
+                "distortion": calibration.distortion.tolist(),
+            },
+            "poses": {str(n): pose for n, pose in poses.items()},
+            "gains": {str(n): list(gain) for n, gain in gains.items()},
+            "flags": {str(n): words for n, words in flags.items()},
+            "broken": {str(n): message for n, message in broken.items()},
+            "missing": missing,
+            "skipped": skipped,
+            "pose_report": report,
+            "notes": notes,
+        }
+
+    def _poses(
+        self,
+        footage: Footage,
+        numbers: tuple[int, ...],
+        about: Mapping[str, Any],
+        calibration: Calibration,
+        broken: dict[int, str],
+    ) -> tuple[Sequence[Any], dict[str, Any]]:
+        """Rows of `FramePose` and what a report says of them; fills `broken`."""
+        from mrbatch.capture.marker_video.pose import FramePose, fill_lost, solve_poses
+
+        if self.settings.poses is not None:
+            given = load_poses(self.settings.poses)
+            rows = [
+                FramePose(n, float(footage.time(n)), given.get(n), flags=() if n in given else ("lost",))
+                for n in numbers
+            ]
+            if not any(n in given for n in numbers):
+                raise InputError(
+                    f"no frame of {numbers[0]} to {numbers[-1]} has a pose in the file, which has "
+                    f"{min(given)} to {max(given)}",
+                    place=Place(file=str(self.settings.poses)),
+                    hint="poses carry the numbers of the shot's frames; `start_frame` renumbers the frames",
+                )
+            return fill_lost(rows, self.settings.lost), {"source": "file"}
+
+        def pictures() -> Iterator[tuple[int, float, Callable[[], np.ndarray]]]:
+            for number in numbers:
+                try:
+                    linear = footage.picture(number, about).linear
+                    _check_size(linear, about, footage.paths((number,))[0], number)
+                except InputError as error:
+                    broken[number] = error.message
+                    continue
+                grey = grey_codes_of(linear, about["float"])
+                yield number, float(footage.time(number)), lambda grey=grey: grey
+
+        solve = self._solve or solve_poses
+        try:
+            found = solve(pictures(), calibration, self.settings.target, lost=self.settings.lost)
+        except InputError:
+            if len(broken) == len(numbers):
+                raise InputError(
+                    f"none of the {len(numbers)} frames can be read: {broken[numbers[0]]}",
+                    place=Place(frame=numbers[0]),
+                ) from None
+            raise
+        rows_json = found.as_json()
+        for row in rows_json:
+            row.pop("world_from_camera", None)
+        layout = found.layout or {}
+        report = {
+            "source": "target",
+            "median_rms_px": found.median_rms,
+            "noise": found.noise,
+            "layout": {str(i): np.asarray(m).tolist() for i, m in layout.items()},
+            "frames": rows_json,
+        }
+        return found.frames, report
+
+    def _gains(self, footage: Footage, frames: Sequence[int], about: Mapping[str, Any]) -> dict[int, Gain]:
+        gain = self.settings.gain
+        if gain.file is not None:
+            given = load_gains(gain.file)
+            lacking = [n for n in frames if n not in given]
+            if lacking:
+                raise InputError(
+                    f"{len(lacking)} frames have no gain: {', '.join(map(str, lacking[:10]))}",
+                    place=Place(file=str(gain.file), frame=lacking[0]),
+                )
+            return {n: given[n] for n in frames}
+        if gain.patch is not None:
+            number = gain.patch.frame
+            if number not in footage.numbers:
+                raise InputError("`gain.patch` names a frame that is not there", place=Place(frame=number))
+            place = Place(file=str(footage.paths((number,))[0]), frame=number)
+            picture = footage.picture(number, about)
+            ceiling = None if about["float"] else _ceiling(about["colour"])
+            value = patch_gain(picture, gain.patch, place, ceiling=ceiling)
+        else:
+            assert gain.value is not None
+            value = gain.value
+        return {n: value for n in frames}
+
+    def facts(self, table: Mapping[str, Any]) -> CaptureFacts:
+        colour = table["footage"]["colour"]
+        rate = table["frame_rate"]
+        return CaptureFacts(
+            source_bits=int(colour["bits"]),
+            source_is_float=bool(table["footage"]["float"]),
+            transfer=colour["transfer"],
+            frame_rate=None if rate is None else Fraction(rate),
+            notes=tuple(table["notes"]),
+        )
+
+    def geometry(self, number: int, table: Mapping[str, Any]) -> Mapping[str, ViewGeometry]:
+        """Camera and gain of a frame. Raises InputError for a frame that has no pose."""
+        key = str(number)
+        if key in table["broken"]:
+            raise InputError(
+                table["broken"][key], place=Place(file=str(self.settings.frames[0]), frame=number)
+            )
+        if key not in table["poses"]:
+            raise InputError(
+                "the frame has no camera pose",
+                place=Place(file=str(self.settings.frames[0]), frame=number),
+                hint="see `capture.lost` and the notes of the shot",
+            )
+        about = table["camera"]
+        camera = Camera(
+            about["width"],
+            about["height"],
+            np.array(about["matrix"], dtype=np.float64),
+            np.array(about["distortion"], dtype=np.float64),
+            np.array(table["poses"][key], dtype=np.float64),
+        )
+        return {VIEW: ViewGeometry(camera, np.array(table["gains"][key], dtype=np.float64))}
+
+    def frame(self, number: int, table: Mapping[str, Any]) -> FrameData:
+        """Raises InputError with the frame: unreadable picture or matte, another size, no pose."""
+        view = self.geometry(number, table)[VIEW]
+        footage, about = self._opened(table), table["footage"]
+        picture = footage.picture(number, about)
+        _check_size(picture.linear, about, footage.paths((number,))[0], number)
+        matte = None
+        if self._mattes is not None:
+            matte = self._mattes.read(number, about["width"], about["height"])
+        data = ViewData(view.camera, picture.linear, view.gain, matte, picture.codes)
+        flags = (*table["flags"].get(str(number), ()), *picture.flags)
+        return FrameData(number, table["times"][table["frames"].index(number)], {VIEW: data}, flags)
+
+
+def _ceiling(colour: Mapping[str, Any]) -> float:
+    """Linear value of the highest code: what clipped pixels have, before primaries are converted."""
+    from mrbatch.kernels.transfer import decode_table
+
+    return float(np.float32(decode_table(colour["transfer"], 8)[-1])) * (1.0 - 1e-3)
+
+
+def _check_size(linear: np.ndarray, about: Mapping[str, Any], path: Path, number: int) -> None:
+    height, width = linear.shape[:2]
+    if (width, height) != (about["width"], about["height"]):
+        raise InputError(
+            f"the frame is {width}x{height}, the others are {about['width']}x{about['height']}",
+            place=Place(file=str(path), frame=number),
+        )
+
+
+def _absolute(value: Any, folder: Path) -> Any:
+    """Settings with relative paths counted from `folder`."""
+    from pydantic import BaseModel
+
+    if isinstance(value, Path):
+        return value if value.is_absolute() else folder / value
+    if isinstance(value, BaseModel):
+        update = {name: _absolute(getattr(value, name), folder) for name in type(value).model_fields}
+        return value.model_copy(update=update)
+    if isinstance(value, tuple):
+        return tuple(_absolute(item, folder) for item in value)
+    return value
