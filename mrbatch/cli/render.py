@@ -31,16 +31,20 @@ def command(
     Frames that are there already are kept. Exit code 0: done; 2: wrong job; 3: wrong input; 4: some
     frames failed, the others are there; 5: out of disk, memory or rights; 130: interrupted.
     """
+    import threading
+
+    from mrbatch.batch.interrupt import interrupts
     from mrbatch.batch.progress import progress
 
     settled = load(job, **options)
-    with progress(mode) as events:
+    stop = threading.Event()
+    with interrupts.caught(stop), progress(mode) as events:
         from mrbatch.batch import events as tell
         from mrbatch.batch.job_run import PAGE, render_job
 
         events(tell.Note("reading the capture"))
         outcome = render_job(
-            settled, threads=threads, overwrite=overwrite, events=events, report=not no_report
+            settled, threads=threads, overwrite=overwrite, events=events, stop=stop, report=not no_report
         )
     if outcome.result.error is not None:
         raise outcome.result.error

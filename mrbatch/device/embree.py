@@ -162,3 +162,17 @@ OCCLUDED_SOURCE = """
     return r.tfar < 0.0f;
 """
 """Body of a native Warp function (function, scene, o, d, tfar) -> bool."""
+
+RECORD_SOURCE = """
+    // Block at `log`: capacity and count (int64), then rays of 10 words: o, d, tfar, scene, kind.
+    long long* head = (long long*)log;
+    long long i = head[1]++;
+    if (i < head[0]) {
+        struct Record { float o[3], d[3], tfar; unsigned kind; unsigned long long scene; };
+        Record* r = (Record*)(head + 2) + i;
+        for (int c = 0; c < 3; ++c) { r->o[c] = o[c]; r->d[c] = d[c]; }
+        r->tfar = tfar; r->kind = (unsigned)kind; r->scene = scene;
+    }
+    return true;
+"""
+"""Body of a native Warp function (log, scene, o, d, tfar, kind) -> bool: notes a ray (one thread only)."""

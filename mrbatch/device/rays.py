@@ -17,7 +17,8 @@ import warp as wp
 from mrbatch.device import embree
 from mrbatch.errors import ResourceError
 
-Engine = Literal["embree", "warp"]
+Engine = Literal["embree", "warp", "embree-recording"]
+"""`embree-recording` notes every ray at the set's `log`: for benches, on one thread."""
 FAR = wp.constant(wp.float32(3.0e38))
 """A distance beyond every scene: rays towards the environment end here."""
 
@@ -27,12 +28,13 @@ class RaySet:
     """Handle of a set of meshes, as kernels take it; `scene` is 0 where the set is empty.
 
     `triangles` gives the scene's triangle number of a hit: indexed by mesh id and added to the face
-    (Embree), or by the face of the merged mesh (Warp).
+    (Embree), or by the face of the merged mesh (Warp). `log`: where rays are noted, 0 for nowhere.
     """
 
     scene: wp.uint64
     intersect: wp.uint64
     occluded: wp.uint64
+    log: wp.uint64
     triangles: wp.array(dtype=wp.int32)
 
 
@@ -115,6 +117,26 @@ def _occluded_embree(rays: RaySet, o: wp.vec3, d: wp.vec3, tfar: float) -> bool:
     return _embree_occluded(rays.occluded, rays.scene, o, d, tfar)
 
 
+@wp.func_native(embree.RECORD_SOURCE)
+def _record(
+    log: wp.uint64, scene: wp.uint64, o: wp.vec3, d: wp.vec3, tfar: float, kind: wp.int32
+) -> bool: ...
+
+
+@wp.func
+def _trace_recording(rays: RaySet, o: wp.vec3, d: wp.vec3, tfar: float) -> Hit:
+    if rays.scene != wp.uint64(0):
+        _record(rays.log, rays.scene, o, d, tfar, wp.int32(0))
+    return _trace_embree(rays, o, d, tfar)
+
+
+@wp.func
+def _occluded_recording(rays: RaySet, o: wp.vec3, d: wp.vec3, tfar: float) -> bool:
+    if rays.scene != wp.uint64(0):
+        _record(rays.log, rays.scene, o, d, tfar, wp.int32(1))
+    return _occluded_embree(rays, o, d, tfar)
+
+
 @wp.func
 def _trace_warp(rays: RaySet, o: wp.vec3, d: wp.vec3, tfar: float) -> Hit:
     hit = _no_hit()
@@ -139,6 +161,7 @@ def _occluded_warp(rays: RaySet, o: wp.vec3, d: wp.vec3, tfar: float) -> bool:
 _ENGINES = {
     "embree": Rays("embree", _trace_embree, _occluded_embree),
     "warp": Rays("warp", _trace_warp, _occluded_warp),
+    "embree-recording": Rays("embree-recording", _trace_recording, _occluded_recording),
 }
 
 
@@ -173,7 +196,7 @@ def build_set(meshes: Sequence[RayMesh], engine: Engine, device: str = "cpu") ->
     if not meshes:
         data.triangles = wp.zeros(1, dtype=wp.int32, device=device)
         return BuiltSet(data, None)
-    if engine == "embree":
+    if engine != "warp":
         shared = []
         first = np.zeros(max(mesh.identity for mesh in meshes) + 1, dtype=np.int32)
         for mesh in meshes:
