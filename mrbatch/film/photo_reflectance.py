@@ -75,11 +75,13 @@ def photo_struct(view: ViewOutput, frame: FrameInput, camera: Any, on: bool, dev
 
 
 @functools.cache
-def _make_kernels(engine: Engine, model: str, distortion: bool, interpolation: str) -> tuple[Any, Any]:
+def _make_kernels(
+    engine: Engine, model: str, distortion: bool, interpolation: str, light_sampler: str
+) -> tuple[Any, Any]:
     trace, occluded = rays(engine).trace, rays(engine).occluded
     camera = make_camera(model, distortion)  # type: ignore[arg-type]
     camera_ray, camera_project = camera.ray, camera.project
-    environment = make_environment(interpolation)  # type: ignore[arg-type]
+    environment = make_environment(interpolation, light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler("owen")
     sample_2d, sample_2d_precise = sampler.sample_2d, sampler.sample_2d_precise
@@ -104,7 +106,7 @@ def _make_kernels(engine: Engine, model: str, distortion: bool, interpolation: s
         found = wp.int32(-1)
         primary = camera_ray(frame.camera, float(pixel.x) + 0.5, float(pixel.y) + 0.5)
         if primary.ok:
-            hit = trace(scene.real_set, primary.origin, primary.direction, FAR)
+            hit = trace(scene.photo_set, primary.origin, primary.direction, FAR)
             wp.atomic_add(counters, 0, wp.int64(1))
             if hit.triangle >= 0:
                 found = scene.triangle_object[hit.triangle]
@@ -131,7 +133,7 @@ def _make_kernels(engine: Engine, model: str, distortion: bool, interpolation: s
         if owner < 0 or (scene.objects[owner].flags & PHOTO) == 0:
             return
         primary = camera_ray(frame.camera, float(pixel.x) + 0.5, float(pixel.y) + 0.5)
-        hit = trace(scene.real_set, primary.origin, primary.direction, FAR)
+        hit = trace(scene.photo_set, primary.origin, primary.direction, FAR)
         point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
         basis = orthonormal_basis(point.ns)
         key = pixel_key(frame.seed, frame.frame, frame.view, 2, pixel.x, pixel.y)
@@ -146,7 +148,7 @@ def _make_kernels(engine: Engine, model: str, distortion: bool, interpolation: s
                 cast += 1
                 if not occluded(scene.real_set, o, light.direction, FAR):
                     w = balance_heuristic(light.pdf, cosine * _INV_PI) / light.pdf
-                    value += light.radiance * (cosine * w)
+                    value += env_radiance(scene.environment, light.direction) * (cosine * w)
             local = cosine_hemisphere(sample_2d(key, n, DIMENSION + 1))
             d = to_world(basis, local)
             if local[2] > 0.0 and wp.dot(point.ng, d) > 0.0:
@@ -187,8 +189,9 @@ def photo_passes(
     They run over the whole window, whatever tiles the shot does: light comes from beyond them. The
     context's `bound[view]` must start with FrameParams and FilmData.
     """
+    light = scene.scene.environment
     identify, reflectance = _make_kernels(
-        scene.engine, view.model, distortion, scene.scene.environment.interpolation
+        scene.engine, view.model, distortion, light.interpolation, light.light_sampler
     )
 
     def inputs(context: PassContext) -> list[Any]:

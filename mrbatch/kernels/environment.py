@@ -22,6 +22,8 @@ _INV_TWO_PI = wp.constant(wp.float32(0.15915494309189535))
 _PI = wp.constant(wp.float64(3.141592653589793))
 _ONE = wp.constant(wp.float64(1.0))
 _ZERO = wp.constant(wp.float64(0.0))
+_PI32 = wp.constant(wp.float32(3.141592653589793))
+_TWO_PI = wp.constant(wp.float32(6.283185307179586))
 
 
 @wp.struct
@@ -35,7 +37,9 @@ class EnvironmentData:
     cells' edges. `row_cdf` (R + 1), `column_cdf` (R * (W + 1), row after row): float64, from 0 to
     exactly 1. `row_guide` (row_bins + 1), `column_guide` (R * (column_bins + 1)): for each of a power
     of two of equal intervals of [0, 1], the cell that holds its start.
-    `step`: 2 pi / W; `density`: 1 / step, or 0 for a black map.
+    `step`: 2 pi / W; `density`: 1 / step, or 0 for a black map. `leaves` (4^leaf_bits), `splits`
+    (4^leaf_bits): the median-cut table (`scene.environment_median_cut`); `leaf_density`: probability of a
+    leaf over 2 pi, or 0 for a black map.
     """
 
     map_from_world: wp.mat33
@@ -56,17 +60,21 @@ class EnvironmentData:
     row_guide: wp.array(dtype=wp.uint16)
     column_cdf: wp.array(dtype=wp.float64)
     column_guide: wp.array(dtype=wp.uint16)
+    leaf_bits: int
+    leaf_density: float
+    leaves: wp.array(dtype=wp.vec4)
+    splits: wp.array(dtype=wp.float32)
 
 
 @wp.struct
 class EnvironmentSample:
-    """A sampled direction: unit, world frame; radiance from there; density per steradian.
+    """A sampled direction: unit, world frame; density per steradian.
 
-    A black map gives density 0 and radiance 0: check before dividing.
+    A black map gives density 0: check before dividing. The radiance from there is for the caller to
+    read, who often finds first that it is not needed.
     """
 
     direction: wp.vec3
-    radiance: wp.vec3
     pdf: float
 
 
@@ -128,6 +136,85 @@ def env_pdf(env: EnvironmentData, d: wp.vec3) -> float:
     return env.pdf[wp.clamp(int(st[1]), 0, env.rows - 1), wp.clamp(int(st[0]), 0, env.columns)]
 
 
+@wp.func
+def env_sample(env: EnvironmentData, u: wp.vec2d) -> EnvironmentSample:
+    """A direction drawn in proportion to the map's cells; `u` in [0, 1)^2, all its bits are used."""
+    row = find_interval(env.row_cdf, 0, env.row_guide, 0, env.row_bins, u[0])
+    below = env.row_cdf[row]
+    row_width = env.row_cdf[row + 1] - below
+    rest = (u[0] - below) / row_width
+    first = row * (env.columns + 1)
+    guide = row * (env.column_bins + 1)
+    column = find_interval(env.column_cdf, first, env.column_guide, guide, env.column_bins, u[1])
+    left = env.column_cdf[first + column]
+    column_width = env.column_cdf[first + column + 1] - left
+    fx = (u[1] - left) / column_width
+
+    top = env.row_z[row]
+    drop = top - env.row_z[row + 1]
+    z = top - rest * drop
+    # (1 - z)(1 + z) keeps the sine's digits near the poles.
+    sine = wp.sqrt(wp.max((_ONE - z) * (_ONE + z), _ZERO))
+    phi = float(_PI - (wp.float64(column) + fx - wp.float64(env.column_offset)) * env.step)
+    fz = float(z)
+    fsine = float(sine)
+
+    result = EnvironmentSample()
+    result.direction = wp.transpose(env.map_from_world) @ wp.vec3(
+        fsine * wp.cos(phi), fsine * wp.sin(phi), fz
+    )
+    # Probability over solid angle; reading it from `pdf` would be one more cache miss.
+    result.pdf = float(row_width * column_width * env.density / drop)
+    return result
+
+
+@wp.func
+def median_cut_sample(env: EnvironmentData, u: wp.vec2d) -> EnvironmentSample:
+    """A direction from leaves of equal probability; `u` in [0, 1)^2. No search, one cache line."""
+    count = 1 << env.leaf_bits
+    row = u[0] * wp.float64(count)
+    column = u[1] * wp.float64(count)
+    i = wp.min(int(row), count - 1)
+    j = wp.min(int(column), count - 1)
+    leaf = env.leaves[i * count + j]
+    z = leaf[0] - float(row - wp.float64(i)) * leaf[1]
+    phi = _PI32 - (leaf[2] + float(column - wp.float64(j)) * leaf[3]) * _TWO_PI
+    sine = wp.sqrt(wp.max((1.0 - z) * (1.0 + z), 0.0))
+    result = EnvironmentSample()
+    result.direction = wp.transpose(env.map_from_world) @ wp.vec3(sine * wp.cos(phi), sine * wp.sin(phi), z)
+    area = leaf[1] * leaf[3]
+    if area > 0.0:
+        result.pdf = env.leaf_density / area
+    return result
+
+
+@wp.func
+def median_cut_pdf(env: EnvironmentData, d: wp.vec3) -> float:
+    """Density per steradian with which `median_cut_sample` draws the unit world direction `d`."""
+    local = env.map_from_world @ d
+    z = wp.clamp(local[2], -1.0, 1.0)
+    u = 0.5 - arctangent2(local[1], local[0]) * _INV_TWO_PI
+    # The leaves span one turn that starts a column's offset before 0.
+    if u * env.column_scale + env.column_offset >= env.column_scale:
+        u -= 1.0
+    node = int(1)
+    i = int(0)
+    j = int(0)
+    for _level in range(env.leaf_bits):
+        below = wp.where(z < env.splits[node], 1, 0)
+        node = 2 * node + below
+        i = 2 * i + below
+        right = wp.where(u >= env.splits[node], 1, 0)
+        node = 2 * node + right
+        j = 2 * j + right
+    leaf = env.leaves[(i << env.leaf_bits) + j]
+    area = leaf[1] * leaf[3]
+    inside = z <= leaf[0] and z >= leaf[0] - leaf[1] and u >= leaf[2] and u <= leaf[2] + leaf[3]
+    if inside and area > 0.0:
+        return env.leaf_density / area
+    return 0.0
+
+
 @dataclass(frozen=True)
 class EnvironmentFunctions:
     """`radiance(env, d) -> vec3`, `pdf(env, d) -> float`, `sample(env, u: vec2d) -> EnvironmentSample`."""
@@ -138,7 +225,7 @@ class EnvironmentFunctions:
     sample: Any
 
 
-def _make(interpolate: Any) -> tuple[Any, Any]:
+def _make(interpolate: Any) -> Any:
     @wp.func
     def env_radiance(env: EnvironmentData, d: wp.vec3) -> wp.vec3:
         """Radiance that arrives from the unit world direction `d`."""
@@ -149,52 +236,25 @@ def _make(interpolate: Any) -> tuple[Any, Any]:
         fy = wp.clamp(st[1] - float(row), 0.0, 1.0)
         return interpolate(env, row, column, st[0] - float(column), fy)
 
-    @wp.func
-    def env_sample(env: EnvironmentData, u: wp.vec2d) -> EnvironmentSample:
-        """A direction drawn in proportion to the map's cells; `u` in [0, 1)^2, all its bits are used."""
-        row = find_interval(env.row_cdf, 0, env.row_guide, 0, env.row_bins, u[0])
-        below = env.row_cdf[row]
-        row_width = env.row_cdf[row + 1] - below
-        rest = (u[0] - below) / row_width
-        first = row * (env.columns + 1)
-        guide = row * (env.column_bins + 1)
-        column = find_interval(env.column_cdf, first, env.column_guide, guide, env.column_bins, u[1])
-        left = env.column_cdf[first + column]
-        column_width = env.column_cdf[first + column + 1] - left
-        fx = (u[1] - left) / column_width
-
-        top = env.row_z[row]
-        drop = top - env.row_z[row + 1]
-        z = top - rest * drop
-        # (1 - z)(1 + z) keeps the sine's digits near the poles.
-        sine = wp.sqrt(wp.max((_ONE - z) * (_ONE + z), _ZERO))
-        phi = float(_PI - (wp.float64(column) + fx - wp.float64(env.column_offset)) * env.step)
-        fz = float(z)
-        fsine = float(sine)
-        fy = arctangent2(fsine, fz) * _INV_PI * env.row_scale + env.row_offset - float(row)
-
-        result = EnvironmentSample()
-        result.direction = wp.transpose(env.map_from_world) @ wp.vec3(
-            fsine * wp.cos(phi), fsine * wp.sin(phi), fz
-        )
-        result.radiance = interpolate(env, row, column, float(fx), wp.clamp(fy, 0.0, 1.0))
-        # Probability over solid angle; reading it from `pdf` would be one more cache miss.
-        result.pdf = float(row_width * column_width * env.density / drop)
-        return result
-
-    return env_radiance, env_sample
+    return env_radiance
 
 
-env_radiance, env_sample = _make(_bilinear)
-_nearest_radiance, _nearest_sample = _make(_nearest)
+env_radiance = _make(_bilinear)
+_nearest_radiance = _make(_nearest)
+
+LightSampler = Literal["median-cut", "cdf"]
+"""How directions are drawn from a map: `median-cut`, leaves of equal probability found without a search;
+`cdf`, texel by texel in proportion, found in sums of rows and columns."""
 
 
 def make_environment(
-    interpolation: Literal["bilinear", "nearest"] = "bilinear",
+    interpolation: Literal["bilinear", "nearest"] = "bilinear", sampler: LightSampler = "cdf"
 ) -> EnvironmentFunctions:
     """The functions for a map whose tables were made with this interpolation."""
-    if interpolation == "bilinear":
-        return EnvironmentFunctions(interpolation, env_radiance, env_pdf, env_sample)
-    if interpolation == "nearest":
-        return EnvironmentFunctions(interpolation, _nearest_radiance, env_pdf, _nearest_sample)
-    raise ValueError(f"unknown interpolation `{interpolation}`: expected bilinear or nearest")
+    radiances = {"bilinear": env_radiance, "nearest": _nearest_radiance}
+    if interpolation not in radiances:
+        raise ValueError(f"unknown interpolation `{interpolation}`: expected bilinear or nearest")
+    samplers = {"median-cut": (median_cut_pdf, median_cut_sample), "cdf": (env_pdf, env_sample)}
+    if sampler not in samplers:
+        raise ValueError(f"unknown light sampler `{sampler}`: expected median-cut or cdf")
+    return EnvironmentFunctions(interpolation, radiances[interpolation], *samplers[sampler])

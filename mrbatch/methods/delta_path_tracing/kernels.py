@@ -71,9 +71,12 @@ class Flags:
     distortion: bool = False
     interpolation: str = "bilinear"
     sampler: str = "owen"
+    light_sampler: str = "median-cut"
     pixel_filter: str = "box"
     strategy: str = "mis"
     shading: ShadingFlags = ShadingFlags()
+    virtual_seen: bool = True
+    """The camera sees virtual objects."""
     light_change: bool = True
     """Real surfaces are seen and can change."""
     real_on_real: bool = True
@@ -120,7 +123,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     bsdf_evaluate, bsdf_pdf, bsdf_sample = bsdf.evaluate, bsdf.pdf, bsdf.sample
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     camera_ray = camera.ray
-    environment = make_environment(flags.interpolation)  # type: ignore[arg-type]
+    environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_1d, sample_2d, sample_2d_precise = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_precise
@@ -174,7 +177,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             leg.vertices += 1
             dimension = DIM_VERTEX * edges
             if wp.static(flags.unreceptive):
-                scene_set = among
+                # Light that reaches such a point has not met virtual objects, nor will it before the sky.
                 if (scene.objects[point.object].flags & RECEIVE) == 0:
                     scene_set = scene.real_set
             surface = surface_at(scene, photo, point)
@@ -191,7 +194,13 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                         if not occluded(scene_set, o, light.direction, FAR):
                             leg.lookups += 1
                             w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
-                            leg.radiance += wp.cw_mul(wp.cw_mul(throughput, value), light.radiance) * w
+                            leg.radiance += (
+                                wp.cw_mul(
+                                    wp.cw_mul(throughput, value),
+                                    env_radiance(scene.environment, light.direction),
+                                )
+                                * w
+                            )
             drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
             if max_component(drawn.weight) <= 0.0:
                 break
@@ -251,7 +260,10 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             blocked = wp.vec3(0.0, 0.0, 0.0)
             indirect = wp.vec3(0.0, 0.0, 0.0)
             covered = float(0.0)
-            hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
+            first_set = scene.camera_set
+            if wp.static(not flags.virtual_seen):
+                first_set = scene.photo_set
+            hit = trace(first_set, primary.origin, primary.direction, FAR)
             if primary.ok and hit.triangle >= 0:
                 point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
                 flags_here = scene.objects[point.object].flags
@@ -261,6 +273,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                     skip = (flags_here & HOLDOUT) != 0
                 if wp.static(flags.unreceptive):
                     skip = skip or ((not is_virtual) and (flags_here & RECEIVE) == 0)
+                first_leg = int(0)
                 legs = int(0)
                 # The two legs of the fork: `plus` among all objects, `minus` among real ones.
                 plus = point
@@ -299,7 +312,13 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                         if lost:
                                             lookups += 1
                                             w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
-                                            blocked -= wp.cw_mul(wp.cw_mul(throughput, f), light.radiance) * w
+                                            blocked -= (
+                                                wp.cw_mul(
+                                                    wp.cw_mul(throughput, f),
+                                                    env_radiance(scene.environment, light.direction),
+                                                )
+                                                * w
+                                            )
                             drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
                             if max_component(drawn.weight) <= 0.0:
                                 break
@@ -339,6 +358,8 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                         minus = surface_point(scene, behind_triangle, behind_u, behind_v, d)
                                         plus_direction = d
                                         legs = 2
+                                        # Nothing comes from a virtual point that returns no light.
+                                        first_leg = wp.where(wp.static(flags.virtual_paths), 0, 1)
                                 break
                             if behind_triangle < 0:
                                 break
@@ -353,7 +374,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                     if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
                                         break
                                     throughput = throughput / q
-                for side in range(legs):
+                for side in range(first_leg, legs):
                     among = scene.all_set
                     start = plus
                     if side == 1:

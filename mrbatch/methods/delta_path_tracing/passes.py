@@ -35,9 +35,13 @@ def make_flags(scene: DeviceScene, plan: Plan, settings: DeltaPathTracingSetting
         distortion=view.distortion and plan.on("lens-distortion"),
         interpolation=scene.scene.environment.interpolation,
         sampler=settings.sampler,
+        light_sampler=scene.scene.environment.light_sampler
+        if settings.light_sampler == "auto"
+        else settings.light_sampler,
         pixel_filter=settings.pixel_filter,
         strategy=settings.strategy if plan.on("environment-light") else "bsdf",
         shading=ShadingFlags(textures=plan.on("textures"), photo=plan.on("photo-reflectance")),
+        virtual_seen=plan.on("virtual"),
         light_change=plan.on("light-change"),
         real_on_real=plan.on("real-on-real"),
         virtual_paths=plan.on("bleeding"),

@@ -29,6 +29,11 @@ class DeltaPathTracingSettings(Settings):
     sampler: Literal["owen", "independent"] = Field(
         "owen", description="Random numbers: Owen-scrambled Sobol points, or independent ones"
     )
+    light_sampler: Literal["auto", "median-cut", "cdf"] = Field(
+        "auto",
+        description="How directions are drawn from the map: leaves of equal light found without a search, or "
+        "texel by texel from summed rows and columns; `auto`: leaves where they add no noise",
+    )
     pixel_filter: Literal["box", "gaussian", "blackman-harris"] = Field(
         "box", description="Reconstruction filter of the virtual layers; the photo is never filtered"
     )

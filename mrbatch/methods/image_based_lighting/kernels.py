@@ -47,6 +47,7 @@ class Flags:
     distortion: bool = False
     interpolation: str = "bilinear"
     sampler: str = "owen"
+    light_sampler: str = "median-cut"
     pixel_filter: str = "box"
     strategy: str = "mis"
     shading: ShadingFlags = ShadingFlags()
@@ -61,7 +62,7 @@ def make_kernel(flags: Flags) -> Any:
     bsdf_evaluate, bsdf_pdf, bsdf_sample = bsdf.evaluate, bsdf.pdf, bsdf.sample
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     camera_ray = camera.ray
-    environment = make_environment(flags.interpolation)  # type: ignore[arg-type]
+    environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_2d, sample_2d_precise = sampler.sample_2d, sampler.sample_2d_precise
@@ -127,7 +128,7 @@ def make_kernel(flags: Flags) -> Any:
                                 w = 1.0 / light.pdf
                                 if wp.static(weigh):
                                     w *= balance_heuristic(light.pdf, bsdf_pdf(surface, wo, wi))
-                                value += wp.cw_mul(f, light.radiance) * w
+                                value += wp.cw_mul(f, env_radiance(scene.environment, light.direction)) * w
                     if wp.static(sample_scatter):
                         drawn = bsdf_sample(surface, wo, sample_2d(key, index, DIM_SCATTER))
                         d = to_world(basis, drawn.wi)
