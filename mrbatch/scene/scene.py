@@ -74,14 +74,20 @@ class Scene:
 
 
 def centre(objects: Sequence[SceneObject]) -> np.ndarray:
-    """Middle of all objects' bounds, rounded to a power of two of their size, so that a scene moved by
-    such steps gives the same bits."""
+    """Middle of the virtual objects' bounds (of all objects, where none is virtual), rounded to a power
+    of two of their size, so that a scene moved by such steps gives the same bits.
+
+    Floats are finest round the origin, and everything that changes happens near virtual objects: round
+    the middle of a floor of kilometres a ray would start millimetres off its surface.
+    """
     if not objects:
         return np.zeros(3)
-    low = np.min([o.mesh.vertices.min(axis=0) for o in objects], axis=0)
-    high = np.max([o.mesh.vertices.max(axis=0) for o in objects], axis=0)
+    chosen = [o for o in objects if o.virtual] or objects
+    low = np.min([o.mesh.vertices.min(axis=0) for o in chosen], axis=0)
+    high = np.max([o.mesh.vertices.max(axis=0) for o in chosen], axis=0)
     size = float(np.max(high - low))
     if size == 0.0:
         return (low + high) / 2
     step = 2.0 ** np.floor(np.log2(size))
-    return np.round((low + high) / 2 / step) * step
+    # Halves go up, always: to the nearest even number, a move by one step would move some centres by two.
+    return np.floor((low + high) / 2 / step + 0.5) * step

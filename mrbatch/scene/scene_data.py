@@ -38,11 +38,12 @@ class ObjectData:
 class SceneData:
     """Geometry, materials and light. Positions are metres relative to the scene's origin.
 
-    Ray sets: `camera_set` is what the camera sees (real and virtual), `all_set` what surfaces see,
-    `real_set` and `virtual_set` its two parts.
+    Ray sets: `camera_set` is what the camera sees (real and virtual), `photo_set` its real part;
+    `all_set` what surfaces see, `real_set` and `virtual_set` its two parts.
     """
 
     camera_set: RaySet
+    photo_set: RaySet
     all_set: RaySet
     real_set: RaySet
     virtual_set: RaySet
@@ -189,6 +190,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
 
     items = list(enumerate(scene.objects))
     data.camera_set = ray_set([i for i, o in items if o.camera])
+    data.photo_set = ray_set([i for i, o in items if o.camera and not o.virtual])
     data.all_set = ray_set([i for i, o in items if o.cast_shadow])
     data.real_set = ray_set([i for i, o in items if o.cast_shadow and not o.virtual])
     data.virtual_set = ray_set([i for i, o in items if o.cast_shadow and o.virtual])

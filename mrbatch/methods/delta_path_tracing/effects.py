@@ -30,9 +30,11 @@ def _light_change(facts: ShotFacts) -> Verdict:
 
 
 def _real_on_real(facts: ShotFacts) -> Verdict:
-    real = [o for o in facts.scene.real if o.cast_shadow]
-    if not real:
-        return absent("no real surface")
+    seen = [o for o in facts.scene.real if o.cast_shadow]
+    if not seen:
+        return absent("no real surface that other surfaces see")
+    # Those that others do not see still see others.
+    real = facts.scene.real
     planes = [plane_of(o.mesh) for o in real]
     first = planes[0]
     if all(p is not None for p in planes) and first is not None:
