@@ -22,6 +22,7 @@ from mrbatch.film.first_hit import first_hit_estimates
 from mrbatch.film.layers import CRYPTOMATTES, channels
 from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
 from mrbatch.film.rendering import FrameRenderer, Source
+from mrbatch.film.window import Window
 from mrbatch.job.resolve import pixel_relevant
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.scene_data import upload
@@ -63,7 +64,12 @@ class ShotRenderer:
         cameras = first_cameras(prepared)
         views = tuple(
             ViewOutput(
-                name, index, prepared.windows[name], camera.model, bool(np.any(camera.distortion != 0.0))
+                name,
+                index,
+                prepared.windows[name],
+                camera.model,
+                bool(np.any(camera.distortion != 0.0)),
+                picture=Window(0, 0, *prepared.display[name]),
             )
             for index, (name, camera) in enumerate(cameras.items())
         )
@@ -120,11 +126,13 @@ class ShotRenderer:
             for view in self.outputs.views:
                 given = data.views[view.name]
                 size, window = prepared.display[view.name], prepared.windows[view.name]
+                photo = framed(given.background, size, view.whole)
                 views[view.name] = ViewInput(
                     camera=given.camera.scaled(*size),
-                    background=framed(given.background, size, window),
+                    background=framed(photo, size, window),
                     gain=np.asarray(given.gain, dtype=np.float64),
                     next_camera=later.get(view.name),
+                    photo=photo,
                 )
                 mattes[view.name] = None if given.matte is None else framed(given.matte, size, window)
         tiles = {view.name: prepared.shot.plan.tiles[number, view.name] for view in self.outputs.views}

@@ -131,6 +131,24 @@ class Developed:
     indirect: np.ndarray | None = None
 
 
+def picture_data(window: Window, background: np.ndarray, device: Any) -> Any:
+    """`FilmData` of a picture (h, w, 3) float32 on a window, without sums: for passes that only read it."""
+    if background.shape != (window.height, window.width, 3):
+        raise ValueError(f"a picture of shape {background.shape} on a window of {window}")
+    film = FilmData()
+    film.x, film.y = window.x, window.y
+    film.width, film.height = window.width, window.height
+    film.tile_x, film.tile_y = window.first_tile
+    film.tile_columns = window.tiles[0]
+    film.sums = wp.zeros((1, 1, 1), dtype=wp.float64, device=device)
+    film.squares = wp.zeros((1, 1, 1), dtype=wp.float64, device=device)
+    film.counts = wp.zeros((1, 1), dtype=wp.int32, device=device)
+    film.background = wp.array(
+        np.ascontiguousarray(background, dtype=np.float32).reshape(-1, 3), dtype=wp.vec3, device=device
+    )
+    return film
+
+
 @dataclass(frozen=True)
 class FilmLayout:
     """Names and shapes of one view's film buffers. `source`: whose estimate (`method` or a participant)."""
@@ -153,19 +171,11 @@ class FilmLayout:
 
     def data(self, buffers: Any, background: np.ndarray) -> Any:
         """`FilmData` over allocated buffers; `background` (h, w, 3) float32 on the window."""
-        film = FilmData()
-        film.x, film.y = self.window.x, self.window.y
-        film.width, film.height = self.window.width, self.window.height
-        film.tile_x, film.tile_y = self.window.first_tile
-        film.tile_columns = self.window.tiles[0]
-        film.sums = buffers[self.name("sums")]
+        sums = buffers[self.name("sums")]
+        film = picture_data(self.window, background, sums.device)
+        film.sums = sums
         film.squares = buffers[self.name("squares")]
         film.counts = buffers[self.name("counts")]
-        film.background = wp.array(
-            np.ascontiguousarray(background, dtype=np.float32).reshape(-1, 3),
-            dtype=wp.vec3,
-            device=film.sums.device,
-        )
         return film
 
     def clear(self, buffers: Any) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import warp as wp
 
+from mrbatch.film.accumulator import picture_data
 from mrbatch.film.first_hit import first_hit_data
 from mrbatch.film.outputs import FrameInput, Outputs, ViewOutput
 from mrbatch.film.photo_reflectance import photo_struct
@@ -16,9 +17,9 @@ from mrbatch.scene.scene_data import DeviceScene
 
 def bind_view(
     scene: DeviceScene, outputs: Outputs, view: ViewOutput, frame: FrameInput, *, photo: bool
-) -> tuple[Any, Any, Any]:
-    """(FrameParams, FilmData, FirstHitData). `photo`: whether real surfaces take their reflectance from
-    the picture."""
+) -> tuple[Any, ...]:
+    """(FrameParams, FilmData, FirstHitData), and with `photo`, where real surfaces take their reflectance
+    from the picture, the whole picture as FilmData."""
     given = frame.views[view.name]
     params = FrameParams()
     params.camera = camera_data(given.camera, scene.scene.origin)
@@ -30,4 +31,7 @@ def bind_view(
     film = outputs.layout(view).data(frame.buffers, given.background)
     later = given.next_camera or given.camera
     hits = first_hit_data(view, outputs, frame.buffers, camera_data(later, scene.scene.origin))
-    return params, film, hits
+    if not photo:
+        return params, film, hits
+    whole = given.background if given.photo is None else given.photo
+    return params, film, hits, picture_data(view.whole, whole, outputs.device)

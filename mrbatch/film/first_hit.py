@@ -78,7 +78,8 @@ def first_hit_buffers(view: ViewOutput, outputs: Outputs) -> tuple[Buffer, ...]:
     found = []
     for part, width in (("depth", 1), ("normal", 3), ("albedo", 3), ("motion", 2)):
         if getattr(wants, part):
-            found.append(Buffer(_name(view, part), (n * width,), "float32", "frame"))
+            shape = (n,) if width == 1 else (n, width)
+            found.append(Buffer(_name(view, part), shape, "float32", "frame"))
     if wants.object_ids:
         found.append(Buffer(_name(view, "ranks"), (n, int(RANKS)), "int32", "frame"))
         found.append(Buffer(_name(view, "share"), (n, int(RANKS)), "float32", "frame"))

@@ -16,13 +16,22 @@ from mrbatch.scene.camera import Camera
 
 @dataclass(frozen=True)
 class ViewOutput:
-    """One view: its name and number (part of every random key), data window, and kind of camera."""
+    """One view: its name and number (part of every random key), data window, and kind of camera.
+
+    `picture`: the whole picture's pixels, where the data window is not all of it.
+    """
 
     name: str
     index: int
     window: Window
     model: str = "perspective"
     distortion: bool = False
+    picture: Window | None = None
+
+    @property
+    def whole(self) -> Window:
+        """Pixels of the whole picture, without crop and overscan."""
+        return self.picture or self.window
 
 
 @dataclass(frozen=True)
@@ -44,12 +53,14 @@ class Outputs:
 @dataclass(frozen=True)
 class ViewInput:
     """One view of one frame on its data window: `background` (h, w, 3) float32, `gain` (3,), the camera
-    of this frame and, where motion is asked for, of the next."""
+    of this frame and, where motion is asked for, of the next. `photo` (H, W, 3): the whole picture at
+    the output's scale, where the data window is not all of it."""
 
     camera: Camera
     background: np.ndarray
     gain: np.ndarray
     next_camera: Camera | None = None
+    photo: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,17 @@
 
 With it the light change of a real point is L_b dE / E_r (Sato et al.; TRAP-3b of Xu et al.'s
 method): no albedo has to be known, and ink stays ink under a shadow. E_r, the irradiance without
-virtual objects, comes from the environment where no real surface is in the way, and from the photo
-where one is that the camera sees. A point that the camera does not see takes the mean reflectance
-of its surface.
+virtual objects, comes from the environment where no real surface is in the way, from the photo where
+one is that the camera sees, and by further bounces from one that it does not. A point that the camera
+does not see takes the mean reflectance of its surface.
+
+The whole photo is used, whatever part of it is rendered, so that a crop is the crop of the picture.
 """
 
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +40,8 @@ from mrbatch.scene.shading import PhotoReflectance
 SAMPLES = wp.constant(wp.int32(256))
 """Pairs of samples for E_r at a pixel. 1 / E_r of a noisy E_r is too bright by its relative variance:
 stratified, that is below 1e-3 here."""
+BOUNCES = wp.constant(wp.int32(8))
+"""Longest path over surfaces that the camera does not see."""
 DIMENSION = wp.constant(wp.int32(1 << 20))
 _INV_PI = wp.constant(wp.float32(0.31830988618379067))
 _PI = wp.constant(wp.float32(3.14159265358979323))
@@ -49,11 +54,11 @@ def _name(view: ViewOutput, part: str) -> str:
 
 
 def photo_buffers(view: ViewOutput, objects: int) -> tuple[Buffer, ...]:
-    n = view.window.pixels
+    n = view.whole.pixels
     return (
-        Buffer(_name(view, "reflectance"), (n * 3,), "float32", "frame"),
+        Buffer(_name(view, "reflectance"), (n, 3), "float32", "frame"),
         Buffer(_name(view, "object"), (n,), "int32", "frame"),
-        Buffer(_name(view, "mean"), (objects * 3,), "float32", "frame"),
+        Buffer(_name(view, "mean"), (objects, 3), "float32", "frame"),
     )
 
 
@@ -66,8 +71,8 @@ def photo_struct(view: ViewOutput, frame: FrameInput, camera: Any, on: bool, dev
         photo.object = wp.zeros(1, dtype=wp.int32, device=device)
         photo.mean = wp.zeros(1, dtype=wp.vec3, device=device)
         return photo
-    photo.x, photo.y = view.window.x, view.window.y
-    photo.width, photo.height = view.window.width, view.window.height
+    photo.x, photo.y = view.whole.x, view.whole.y
+    photo.width, photo.height = view.whole.width, view.whole.height
     photo.reflectance = frame.buffers[_name(view, "reflectance")].view(wp.vec3)
     photo.object = frame.buffers[_name(view, "object")]
     photo.mean = frame.buffers[_name(view, "mean")].view(wp.vec3)
@@ -135,38 +140,57 @@ def _make_kernels(
         primary = camera_ray(frame.camera, float(pixel.x) + 0.5, float(pixel.y) + 0.5)
         hit = trace(scene.photo_set, primary.origin, primary.direction, FAR)
         point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
-        basis = orthonormal_basis(point.ns)
+        first_basis = orthonormal_basis(point.ns)
         key = pixel_key(frame.seed, frame.frame, frame.view, 2, pixel.x, pixel.y)
         irradiance = wp.vec3d()
         cast = int(1)
         for n in range(int(SAMPLES)):
             value = wp.vec3(0.0, 0.0, 0.0)
-            light = env_sample(scene.environment, sample_2d_precise(key, n, DIMENSION))
-            cosine = wp.dot(point.ns, light.direction)
-            if light.pdf > 0.0 and cosine > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
-                o = offset_origin(point.p, point.ng, light.direction, point.reach)
-                cast += 1
-                if not occluded(scene.real_set, o, light.direction, FAR):
-                    w = balance_heuristic(light.pdf, cosine * _INV_PI) / light.pdf
-                    value += env_radiance(scene.environment, light.direction) * (cosine * w)
-            local = cosine_hemisphere(sample_2d(key, n, DIMENSION + 1))
-            d = to_world(basis, local)
-            if local[2] > 0.0 and wp.dot(point.ng, d) > 0.0:
-                o = offset_origin(point.p, point.ng, d, point.reach)
+            throughput = wp.vec3(1.0, 1.0, 1.0)
+            here = point
+            basis = first_basis
+            for bounce in range(int(BOUNCES)):
+                dimension = DIMENSION + 2 * bounce
+                light = env_sample(scene.environment, sample_2d_precise(key, n, dimension))
+                cosine = wp.dot(here.ns, light.direction)
+                if light.pdf > 0.0 and cosine > 0.0 and wp.dot(here.ng, light.direction) > 0.0:
+                    o = offset_origin(here.p, here.ng, light.direction, here.reach)
+                    cast += 1
+                    if not occluded(scene.real_set, o, light.direction, FAR):
+                        w = cosine * balance_heuristic(light.pdf, cosine * _INV_PI) / light.pdf
+                        value += wp.cw_mul(throughput, env_radiance(scene.environment, light.direction)) * w
+                local = cosine_hemisphere(sample_2d(key, n, dimension + 1))
+                d = to_world(basis, local)
+                if local[2] <= 0.0 or wp.dot(here.ng, d) <= 0.0:
+                    break
+                o = offset_origin(here.p, here.ng, d, here.reach)
                 cast += 1
                 seen = trace(scene.real_set, o, d, FAR)
                 if seen.triangle < 0:
-                    w = balance_heuristic(local[2] * _INV_PI, env_pdf(scene.environment, d))
-                    value += env_radiance(scene.environment, d) * (_PI * w)
-                else:
-                    other = surface_point(scene, seen.triangle, seen.u, seen.v, d)
-                    at = camera_project(frame.camera, other.p)
-                    i = wp.int32(wp.floor(at[0])) - film.x
-                    j = wp.int32(wp.floor(at[1])) - film.y
-                    if at[2] > 0.0 and i >= 0 and j >= 0 and i < film.width and j < film.height:
-                        k = j * film.width + i
-                        if frame.photo.object[k] == other.object:
-                            value += wp.cw_div(film.background[k], frame.gain) * _PI
+                    w = _PI * balance_heuristic(local[2] * _INV_PI, env_pdf(scene.environment, d))
+                    value += wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
+                    break
+                here = surface_point(scene, seen.triangle, seen.u, seen.v, d)
+                at = camera_project(frame.camera, here.p)
+                i = wp.int32(wp.floor(at[0])) - film.x
+                j = wp.int32(wp.floor(at[1])) - film.y
+                shown_here = bool(False)
+                k = j * film.width + i
+                if at[2] > 0.0 and i >= 0 and j >= 0 and i < film.width and j < film.height:
+                    shown_here = frame.photo.object[k] == here.object
+                if shown_here:
+                    # The same object may hide this part of itself, or show its other side.
+                    towards = frame.camera.origin - here.p
+                    shown_here = wp.dot(here.ng, towards) > 0.0
+                    if shown_here:
+                        cast += 1
+                        o = offset_origin(here.p, here.ng, towards, here.reach)
+                        shown_here = not occluded(scene.photo_set, o, frame.camera.origin - o, 1.0)
+                if shown_here:
+                    value += wp.cw_mul(throughput, wp.cw_div(film.background[k], frame.gain)) * _PI
+                    break
+                throughput = wp.cw_mul(throughput, scene.objects[here.object].reflectance)
+                basis = orthonormal_basis(here.ns)
             irradiance += wp.vec3d(wp.float64(value[0]), wp.float64(value[1]), wp.float64(value[2]))
         e = wp.vec3(float(irradiance[0]), float(irradiance[1]), float(irradiance[2])) / float(SAMPLES)
         shown = wp.cw_div(film.background[pixel.index], frame.gain)
@@ -186,9 +210,10 @@ def photo_passes(
 ) -> tuple[Pass, ...]:
     """Three passes: which surface each pixel shows, its reflectance, and each surface's mean.
 
-    They run over the whole window, whatever tiles the shot does: light comes from beyond them. The
-    context's `bound[view]` must start with FrameParams and FilmData.
+    They run over the whole picture, whatever part of it the shot does: light comes from beyond. The
+    context's `bound[view]` must hold FrameParams first and `photo_film` last.
     """
+    picture = replace(view, window=view.whole)
     light = scene.scene.environment
     identify, reflectance = _make_kernels(
         scene.engine, view.model, distortion, light.interpolation, light.light_sampler
@@ -196,10 +221,10 @@ def photo_passes(
 
     def inputs(context: PassContext) -> list[Any]:
         bound = context.bound[view.name]
-        return [scene.data, bound[0], bound[1]]
+        return [scene.data, bound[0], bound[-1]]
 
     def mean(context: PassContext, span: Span) -> None:
-        values = context.buffers[_name(view, "reflectance")].numpy().reshape(-1, 3)
+        values = context.buffers[_name(view, "reflectance")].numpy()
         owners = context.buffers[_name(view, "object")].numpy()
         table = np.zeros((len(scene.scene.objects), 3))
         for number, item in enumerate(scene.scene.objects):
@@ -208,17 +233,17 @@ def photo_passes(
             if not item.material.from_photo:
                 table[number] = item.material.reflectance
         out = context.buffers[_name(view, "mean")]
-        wp.copy(out, wp.array(table.astype(np.float32).ravel(), dtype=wp.float32, device=outputs.device))
+        wp.copy(out, wp.array(table.astype(np.float32), dtype=wp.float32, device=outputs.device))
 
     names = [_name(view, part) for part in ("object", "reflectance", "mean")]
     usual: dict[str, Any] = {"counters": RAYS, "everywhere": True, "device": outputs.device}
     return (
         pixel_pass(
-            f"photo surfaces {view.name}".strip(), view, identify, inputs, writes=(names[0],), **usual
+            f"photo surfaces {view.name}".strip(), picture, identify, inputs, writes=(names[0],), **usual
         ),
         pixel_pass(
             f"photo reflectance {view.name}".strip(),
-            view,
+            picture,
             reflectance,
             inputs,
             reads=(names[0],),

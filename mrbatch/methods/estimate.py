@@ -37,6 +37,18 @@ class Estimated:
         return self.timing.total_counters()
 
 
+def on_window(picture: np.ndarray, window: Window) -> np.ndarray:
+    """What of a picture (H, W, 3) lies on a window (h, w, 3), black beyond its edges."""
+    rows = np.arange(window.y, window.y + window.height)
+    columns = np.arange(window.x, window.x + window.width)
+    inside = np.ix_((rows >= 0) & (rows < picture.shape[0]), (columns >= 0) & (columns < picture.shape[1]))
+    out = np.zeros((window.height, window.width, 3), picture.dtype)
+    out[inside] = picture[
+        np.ix_(np.clip(rows, 0, picture.shape[0] - 1), np.clip(columns, 0, picture.shape[1] - 1))
+    ][inside]
+    return out
+
+
 def estimate(
     method: Method,
     scene: Scene,
@@ -58,12 +70,19 @@ def estimate(
 ) -> Estimated:
     """Renders one frame with one view.
 
-    `settings`: of the method, without its name. `background` (h, w, 3) on the data window, black where
-    None. `half_code` as in `ShotFacts`.
+    `settings`: of the method, without its name. `background`: the photo (camera.height, camera.width, 3),
+    or what of it lies on the data window (h, w, 3); black where None, and beyond the photo. `half_code`
+    as in `ShotFacts`.
     """
-    window = window or Window(0, 0, camera.width, camera.height)
+    whole = Window(0, 0, camera.width, camera.height)
+    window = window or whole
     model = method.settings(name=method.name, spp=spp, **(settings or {}))
-    b = np.zeros((window.height, window.width, 3), np.float32) if background is None else background
+    b = np.zeros((window.height, window.width, 3), np.float32)
+    photo = None
+    if background is not None:
+        b = background
+        if b.shape[:2] == (whole.height, whole.width) and window != whole:
+            photo, b = background, on_window(background, window)
     g = np.asarray(tuple(gain), dtype=np.float64)
     facts = ShotFacts(
         scene=scene,
@@ -75,13 +94,20 @@ def estimate(
     )
     plan = make_plan(method.rules, facts, forced or {})
     resolved = resolve_engine(engine)  # type: ignore[arg-type]
-    view = ViewOutput("", 0, window, camera.model, bool(np.any(camera.distortion != 0.0)))
+    view = ViewOutput(
+        "",
+        0,
+        window,
+        camera.model,
+        bool(np.any(camera.distortion != 0.0)),
+        picture=None if photo is None else whole,
+    )
     outputs = Outputs((view,), frozenset(needs), seed, resolved)
     pipeline = method.build(upload(scene, resolved), plan, model, outputs)
     timing = TimingNode(method.name)
     with Runner(threads, units_per_launch=units_per_launch) as runner:
         renderer = FrameRenderer(runner, [Source("method", pipeline)], outputs, timing)
         rendered = renderer.render(
-            frame, {"": ViewInput(camera, b, g)}, spp, tiles={"": plan.tiles[frame, ""]}
+            frame, {"": ViewInput(camera, b, g, photo=photo)}, spp, tiles={"": plan.tiles[frame, ""]}
         )
     return Estimated(rendered.estimates[""]["method"], plan, timing, b)

@@ -1,0 +1,150 @@
+"""Data layers at first hits, against geometry worked out by hand in float64."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mrbatch.contracts import Pipeline
+from mrbatch.device.rays import resolve_engine
+from mrbatch.device.runner import Runner
+from mrbatch.device.timing import TimingNode
+from mrbatch.film.binding import bind_view
+from mrbatch.film.first_hit import first_hit_buffers, first_hit_estimates, first_hit_pass
+from mrbatch.film.layers import NOTHING
+from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
+from mrbatch.film.rendering import FrameRenderer, Source
+from mrbatch.film.window import Window
+from mrbatch.methods.delta_path_tracing.cases import ball, look_at, real, scene_of, virtual
+from mrbatch.scene.mesh import plane
+from mrbatch.scene.scene import Material, Texture
+from mrbatch.scene.scene_data import upload
+from mrbatch.scene.shading import ShadingFlags
+
+PARTS = frozenset({"depth", "normal", "albedo", "motion", "object_ids"})
+WIDTH, HEIGHT = 24, 20
+
+
+def layers(objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window=None):
+    engine = resolve_engine("auto")
+    window = window or Window(0, 0, camera.width, camera.height)
+    view = ViewOutput("", 0, window)
+    outputs = Outputs((view,), needs, 0, engine)
+    scene = upload(scene_of(objects), engine)
+    step = first_hit_pass(scene, view, outputs, ShadingFlags(textures=True), False, "box")
+    pipeline = Pipeline(
+        finish=(step,),
+        buffers=first_hit_buffers(view, outputs),
+        bind=lambda frame: {"": bind_view(scene, outputs, view, frame, photo=False)},
+    )
+    black = np.zeros((window.height, window.width, 3), np.float32)
+    with Runner(1) as runner:
+        renderer = FrameRenderer(runner, [Source("method", pipeline)], outputs, TimingNode("test"))
+        given = {"": ViewInput(camera, black, np.ones(3), next_camera)}
+        rendered = renderer.render(0, given, 2, tiles=None if tiles is None else {"": tiles})
+        ids = np.arange(1, len(objects) + 1, dtype=np.uint32) * 100
+        return first_hit_estimates(view, outputs, rendered.buffers, ids)
+
+
+def camera():
+    return look_at((0, 0, 5.0), (0, 0, 0), width=WIDTH, height=HEIGHT, focal=20.0)
+
+
+def card(height, size=2.0, **switches):
+    return virtual("card", plane(size, size, centre=(0, 0, height)), (0.1, 0.5, 0.9), **switches)
+
+
+def test_depth_normal_albedo_of_a_card():
+    """A card 3 m below the camera covers (2 / 3) 20 = 13.33 pixels each way."""
+    found = layers([real("floor", plane(20, 20)), card(2.0)], camera())
+    inside = np.s_[5:15, 7:17]
+    assert np.allclose(found["depth"][inside], 3.0, rtol=1e-6)
+    assert np.allclose(found["normal"][inside], [0, 0, 1], atol=1e-6)
+    assert np.allclose(found["albedo"][inside], [0.1, 0.5, 0.9], atol=1e-6)
+    # Real things are in no layer; nothing is 1e10 away.
+    assert np.all(found["depth"][0] == NOTHING) and not found["normal"][0].any()
+    share = found["object_coverage"].sum(axis=-1)
+    assert share.sum() == pytest.approx((20 * 2 / 3) ** 2, rel=0.01)
+    # Premultiplied: at the edge a normal is as long as the coverage.
+    assert np.allclose(found["normal"][..., 2], share, atol=1e-5)
+    assert set(np.unique(found["object_ids"])) == {0, 200}
+
+
+def test_depth_is_planar_and_the_nearest():
+    """A tilted plane: planar z along the optical axis, the least within the pixel."""
+    slope = 0.5
+    mesh = plane(30, 30)
+    mesh = replace(mesh, vertices=mesh.vertices + mesh.vertices[:, :1] * [0, 0, slope], normals=None)
+    found = layers([virtual("ramp", mesh)], camera())
+    # Camera at z = 5 looking down, picture x along world x or against it: z = 5 - slope x, x = +-t u.
+    u = (np.arange(WIDTH) + 0.5 - WIDTH / 2) / 20.0
+    half = 0.5 / 20.0
+    across = camera().world_from_camera[0, 0]
+    nearest = np.minimum(5 / (1 + slope * across * (u - half)), 5 / (1 + slope * across * (u + half)))
+    middle = 5 / (1 + slope * across * u)
+    row = found["depth"][HEIGHT // 2]
+    assert np.all(row >= nearest - 1e-5) and np.all(row < middle)
+
+
+def test_motion_of_a_moving_camera():
+    """Pixels to the next frame, y down: a camera that goes right moves the picture left."""
+    here = camera()
+    pose = here.world_from_camera.copy()
+    pose[:3, 3] += pose[:3, 0] * 0.03 + pose[:3, 1] * 0.06
+    found = layers([card(2.0)], here, next_camera=here.at(pose))
+    assert np.allclose(found["motion"][10, 12], [-0.03 / 3 * 20, -0.06 / 3 * 20], atol=1e-4)
+    still = layers([card(2.0)], here)
+    assert np.abs(still["motion"]).max() < 1e-4
+    # A mean over hits, not premultiplied: as large at the card's edge as in its middle.
+    edge = (found["object_coverage"].sum(axis=-1) > 0) & (found["object_coverage"].sum(axis=-1) < 0.5)
+    assert edge.any()
+    assert np.allclose(found["motion"][edge], [-0.2, -0.4], atol=1e-3)
+
+
+def test_overlapping_objects_share_a_pixel():
+    """Coverage by object; the nearer hides the farther; holdouts and unseen objects are in no layer."""
+    left = virtual("left", plane(2, 2, centre=(-1.0 - 0.05, 0, 1)))
+    right = virtual("right", plane(2, 2, centre=(1.0 - 0.05, 0, 1)))
+    below = virtual("below", ball(0.5, at=(0, 0, 0)))
+    found = layers([left, right, below], camera())
+    total = {k: found["object_coverage"][found["object_ids"] == k].sum() for k in (100, 200, 300)}
+    # x runs against the world's or with it: the two cards meet 0.05 m beside the middle.
+    assert total[100] == pytest.approx(total[200], rel=0.02) and total[300] == 0
+    middle = found["object_coverage"][10, 11:13].sum(axis=-1)
+    assert np.allclose(middle, 1.0)
+    shared = (found["object_coverage"] > 0).sum(axis=-1) == 2
+    assert shared[8:12].any()
+    for switch in ({"holdout": True}, {"camera": False}):
+        found = layers([card(2.0, **switch)], camera())
+        assert np.all(found["depth"] == NOTHING) and not found["object_coverage"].any()
+
+
+def test_albedo_is_the_texture():
+    texels = np.zeros((2, 2, 3), np.float32)
+    texels[:, 1] = 1.0
+    item = replace(card(2.0), material=Material(texture=Texture(texels)))
+    found = layers([item], camera())
+    # Pixel 7 sees x = -.675 m: u = .1625, .175 of a texel before the first one's centre, where texels repeat.
+    assert camera().world_from_camera[0, 0] == 1.0
+    assert found["albedo"][10, 7, 0] == pytest.approx(0.175, abs=0.005)
+    assert found["albedo"][10, 16, 0] == pytest.approx(0.825, abs=0.005)
+
+
+def test_tiles_that_are_left_out_hold_nothing():
+    found = layers([card(2.0)], camera(), tiles=np.array([0], np.int32))
+    assert np.all(found["depth"][16:] == NOTHING) and np.all(found["depth"][:, 16:] == NOTHING)
+    assert (found["depth"][:16, :16] < NOTHING).any()
+
+
+def test_only_what_is_asked_for_is_made():
+    found = layers([card(2.0)], camera(), needs=frozenset({"depth"}))
+    assert set(found) == {"depth"}
+
+
+def test_a_crop_is_the_crop():
+    whole = layers([card(2.0)], camera())
+    part = layers([card(2.0)], camera(), window=Window(-3, 4, 20, 9))
+    for name in ("depth", "normal", "albedo", "motion", "object_ids", "object_coverage"):
+        assert np.array_equal(part[name][:, 3:], whole[name][4:13, :17]), name
