@@ -39,16 +39,16 @@ class Window:
         return Domain("pixels", columns * rows, TILE * TILE, self.pixels, view)
 
     def tile_rectangles(self) -> np.ndarray:
-        """(units, 4) int: x0, y0, x1, y1 of each tile clipped to the window, absolute, end exclusive."""
+        """(units, 4) int: x0, y0, x1, y1 of each whole tile, absolute, end exclusive.
+
+        Not cut to the window, so that what is decided for a tile does not depend on the crop.
+        """
         tx, ty = self.first_tile
         columns, rows = self.tiles
         x0 = (tx + np.arange(columns)) * TILE
         y0 = (ty + np.arange(rows)) * TILE
         gx, gy = np.meshgrid(x0, y0)
-        box = np.stack([gx, gy, gx + TILE, gy + TILE], axis=-1).reshape(-1, 4)
-        box[:, 0::2] = np.clip(box[:, 0::2], self.x, self.x + self.width)
-        box[:, 1::2] = np.clip(box[:, 1::2], self.y, self.y + self.height)
-        return box
+        return np.stack([gx, gy, gx + TILE, gy + TILE], axis=-1).reshape(-1, 4)
 
     def contains(self, other: Window) -> bool:
         return (
