@@ -68,7 +68,7 @@ class PassContext(Protocol):
 
     @property
     def bound(self) -> Any:
-        """What `Pipeline.bind` made for this frame."""
+        """What `Pipeline.bind` made for this frame; None in the passes of the shot."""
 
     @property
     def buffers(self) -> Mapping[str, Any]:
@@ -196,7 +196,9 @@ class Method:
     """How the captured picture changes: one a job.
 
     `build(scene, plan, settings, outputs)` gives the pipeline of one shot; it is called once a shot.
-    `history`: its pipelines may hold buffers that go from frame to frame.
+    `history`: its pipelines may hold buffers that go from frame to frame. `segment(settings)`: at most
+    how many frames (None: any number) a state is carried over, and how many earlier frames warm up
+    what follows such a cut.
     """
 
     name: str
@@ -209,6 +211,7 @@ class Method:
     axes: tuple[Axis, ...] = ()
     cases: tuple[Case, ...] = ()
     history: bool = False
+    segment: Callable[[Any], tuple[int | None, int]] = lambda settings: (None, 0)
 
 
 @dataclass(frozen=True)
@@ -216,7 +219,8 @@ class Participant:
     """Something besides the method that adds P, a and D, such as a volume: any number a job.
 
     What participants estimate is laid over what the method estimates, in the job's order:
-    P = Pp + (1 - ap) Pm, a = ap + (1 - ap) am, D = Dp + (1 - ap) Dm.
+    P = Pp + (1 - ap) Pm, a = ap + (1 - ap) am, D = Dp + (1 - ap) Dm. `outputs.source` is the name that
+    its film and buffers go by. `history` and `segment` as for a method.
     """
 
     name: str
@@ -227,6 +231,7 @@ class Participant:
     axes: tuple[Axis, ...] = ()
     cases: tuple[Case, ...] = ()
     history: bool = False
+    segment: Callable[[Any], tuple[int | None, int]] = lambda settings: (None, 0)
 
 
 @dataclass(frozen=True)
@@ -246,7 +251,10 @@ class Capture(Protocol):
         """Numbers of all usable frames, in order."""
 
     def prepare(self) -> Mapping[str, Any]:
-        """Sees the whole shot once; gives a JSON-ready table (frame times, poses, gains, ...)."""
+        """Sees the whole shot once; gives a JSON-ready table (frame times, poses, gains, ...).
+
+        `cuts` in it, if there: numbers of first frames of new scenes, over which no history goes.
+        """
 
     def facts(self, table: Mapping[str, Any]) -> Any:
         """What holds for the whole shot, as `mrbatch.capture.frame.CaptureFacts`."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
@@ -102,7 +103,7 @@ class Waiting(Event):
 
 @dataclass(frozen=True)
 class Prediction(Event):
-    """`seconds_left` of this process; `basis`: what it rests on (`price list`, `3 frames`)."""
+    """`seconds_left` of this process; `basis`: what it rests on (`first samples`, `3 frames`)."""
 
     kind: ClassVar[str] = "prediction"
     seconds_left: float
@@ -175,16 +176,28 @@ class Background:
 class Forecast:
     """Remaining time from the frames done so far: their mean, the latest half weighing double.
 
-    `expected`: seconds a frame from a price list, used until a frame is done.
+    `expected`: seconds a frame from a price list, used until a frame is done. `frames_left`: what the
+    run has still to do, the frame in work included.
     """
 
     def __init__(self, expected: float | None = None):
         self._expected = expected
         self._seconds: list[float] = []
+        self._began = time.monotonic()
         self.first: float | None = None
+        self.frames_left = 0
 
     def add(self, seconds: float) -> None:
         self._seconds.append(seconds)
+
+    def foresee(self, seconds: float, spent: float) -> Prediction | None:
+        """From the first samples of the first frame: it takes `seconds`, of which `spent` are over. None
+        where a prediction was made already."""
+        if self.first is not None or self._seconds:
+            return None
+        left = max(0.0, seconds * max(1, self.frames_left) - spent)
+        self.first = time.monotonic() - self._began + left
+        return Prediction(left, seconds, "first samples")
 
     def predict(self, frames_left: int) -> Prediction | None:
         """None while nothing is known. `first` keeps the first prediction made, to be checked later."""

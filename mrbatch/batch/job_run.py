@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -85,9 +86,10 @@ def render_job(
         history=False,
         segments=prepared.shot.segments,
     )
-    with _Renderer(prepared, timing, threads, units_per_launch, events) as render:
+    forecast = tell.Forecast()
+    with _Renderer(prepared, timing, threads, units_per_launch, events, forecast) as render:
         request = render.with_history(request)
-        result = run(request, render, verify_frame, events=events, stop=stop)
+        result = run(request, render, verify_frame, events=events, stop=stop, forecast=forecast)
     exit_code = result.exit_code
     made = make_report(job, prepared, request, result, timing, report=report)
     if report:
@@ -110,13 +112,16 @@ class _Renderer:
         threads: int | None,
         units_per_launch: int | None,
         events: tell.EventSink,
+        forecast: tell.Forecast,
     ) -> None:
         self._prepared = prepared
         self._timing = timing
         self._threads = threads
         self._units = units_per_launch
         self._events = events
+        self._forecast = forecast
         self._shot: ShotRenderer | None = None
+        self._began = self._sampled = 0.0
 
     def __enter__(self) -> _Renderer:
         return self
@@ -140,13 +145,27 @@ class _Renderer:
                 self._timing,
                 threads=self._threads,
                 units_per_launch=self._units,
-                progress=lambda number, share: self._events(tell.FrameProgress(number, share)),
+                progress=self._progress,
             )
         return self._shot
 
+    def _progress(self, number: int, share: float) -> None:
+        """Tells how far a frame is, and after its first samples how long the frames will take."""
+        now = time.monotonic()
+        if share == 0.0:
+            self._sampled = now
+            return
+        self._events(tell.FrameProgress(number, share))
+        whole = self._sampled - self._began + (now - self._sampled) / share
+        prediction = self._forecast.foresee(whole, now - self._began)
+        if prediction is not None:
+            self._events(prediction)
+
     def __call__(self, number: int, history: Any) -> RenderedFrame:
         commit_shot(self._prepared.job.output.directory, self._prepared.shot, Owner.here().name)
-        return self._renderer().render(number, history)
+        shot = self._renderer()
+        self._began = time.monotonic()
+        return shot.render(number, history)
 
 
 def make_report(
@@ -222,7 +241,8 @@ def make_report(
     rays = sum(count for name, count in timing.total_counters().items() if name.endswith("rays"))
     busy = sum(entry.seconds for n, entry in result.entries.items() if n in result.rendered)
     timing.seconds, timing.calls = result.seconds, 1
-    meanings = {rule.effect: rule.meaning for rule in job.method_object.rules}
+    rules = [rule for owner in (*job.participant_objects, job.method_object) for rule in owner.rules]
+    meanings = {rule.effect: rule.meaning for rule in rules}
     return Report(
         job=ReportedJob(
             name=job.name,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,11 @@ import numpy as np
 from mrbatch import __version__
 from mrbatch.batch.commit import hash_file
 from mrbatch.batch.framing import data_window, display_size
-from mrbatch.batch.history import cut_segments
+from mrbatch.batch.history import Segment, cut_segments
 from mrbatch.batch.shot import Shot, commit_shot, content_hash, load_shot
 from mrbatch.capture.frame import CaptureFacts, ViewGeometry
 from mrbatch.capture.registry import CAPTURES
-from mrbatch.contracts import Capture
+from mrbatch.contracts import Capture, Rule
 from mrbatch.device.rays import resolve_engine
 from mrbatch.device.timing import TimingNode
 from mrbatch.effects.facts import FrameFacts, ShotFacts
@@ -74,8 +74,14 @@ def layer_names(job: Job) -> tuple[str, ...]:
 def output_views(
     job: Job, geometry: Mapping[str, ViewGeometry]
 ) -> tuple[dict[str, tuple[int, int]], dict[str, Window]]:
-    """Picture size and data window by view."""
+    """Picture size and data window by view. Raises InputError for views of different sizes."""
     display = {name: display_size(job.output, view.camera) for name, view in geometry.items()}
+    if len(set(display.values())) > 1:
+        sizes = ", ".join(f"{name} {w} x {h}" for name, (w, h) in display.items())
+        raise InputError(
+            f"the views have different sizes: {sizes}",
+            hint="the views of a frame share one file: bring them to one size",
+        )
     return display, {name: data_window(job.output, size) for name, size in display.items()}
 
 
@@ -182,7 +188,6 @@ def _plan(
 ) -> Shot:
     display, _ = output_views(job, _first_geometry(capture, table, numbers))
     frames = tuple(_usable_facts(capture, table, numbers, display))
-    rules = job.method_object.rules + tuple(r for p in job.participant_objects for r in p.rules)
     shot_facts = ShotFacts(
         scene=scene,
         frames=frames,
@@ -192,7 +197,7 @@ def _plan(
         half_code=facts.half_code,
         everywhere=bool(job.participants),
     )
-    plan = make_plan(rules, shot_facts, job.effects)
+    plan = make_plan(_rules(job), shot_facts, job.effects)
     most_gain = max(float(np.max(g)) for f in frames for g in f.gains.values())
     peak = float(scene.environment.radiance.max(initial=0.0)) * most_gain
     if job.output.dtype == "auto":
@@ -204,7 +209,6 @@ def _plan(
         )
     else:
         colour_type, reason = job.output.dtype, "asked for by the job"
-    segments = cut_segments(numbers)
     return Shot(
         key=key,
         table=table,
@@ -213,6 +217,35 @@ def _plan(
         colour_type=colour_type,
         colour_reason=reason,
         plan=plan,
-        segments=segments,
+        segments=_segments(job, table, numbers),
         notes=tuple(facts.notes),
+    )
+
+
+def _rules(job: Job) -> tuple[Rule, ...]:
+    """The method's rules and the participants', each looking at the settings of its own."""
+
+    def of(rule: Rule, settings: Any) -> Rule:
+        return replace(rule, decide=lambda facts: rule.decide(replace(facts, settings=settings)))
+
+    found = list(job.method_object.rules)
+    for participant, settings in zip(job.participant_objects, job.participants, strict=True):
+        found += [of(rule, settings) for rule in participant.rules]
+    return tuple(found)
+
+
+def _segments(job: Job, table: Mapping[str, Any], numbers: tuple[int, ...]) -> tuple[Segment, ...]:
+    """How far history is carried: never over the capture's cuts, nor further than whoever keeps it says."""
+    asked = [job.method_object.segment(job.method)] if job.method_object.history else []
+    asked += [
+        participant.segment(settings)
+        for participant, settings in zip(job.participant_objects, job.participants, strict=True)
+        if participant.history
+    ]
+    lengths = [length for length, _ in asked if length is not None]
+    return cut_segments(
+        numbers,
+        cuts=table.get("cuts", ()),
+        length=min(lengths, default=None),
+        warm_up=max((warm_up for _, warm_up in asked), default=0),
     )

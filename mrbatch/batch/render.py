@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from mrbatch.batch.framing import framed
 from mrbatch.batch.prepare import Prepared, first_cameras, frame_facts
 from mrbatch.device.runner import Runner
 from mrbatch.device.timing import TimingNode
+from mrbatch.errors import InputError
 from mrbatch.film.composite import Contribution, behind_matte, composite, over
 from mrbatch.film.cryptomatte import name_id
 from mrbatch.film.exr import FrameImage, ViewImage, write_frame
@@ -62,13 +63,16 @@ class ShotRenderer:
         job, shot = prepared.job, prepared.shot
         self.runner = Runner(threads, units_per_launch=units_per_launch)
         cameras = first_cameras(prepared)
+        # One kernel does all views and frames: where any of them is distorted, all are taken as such.
+        told = shot.plan.effects.get("lens-distortion")
+        distorted = told.state != "absent" if told else any(np.any(c.distortion) for c in cameras.values())
         views = tuple(
             ViewOutput(
                 name,
                 index,
                 prepared.windows[name],
                 camera.model,
-                bool(np.any(camera.distortion != 0.0)),
+                distorted,
                 picture=Window(0, 0, *prepared.display[name]),
             )
             for index, (name, camera) in enumerate(cameras.items())
@@ -83,9 +87,14 @@ class ShotRenderer:
             for number, (participant, settings) in enumerate(
                 zip(job.participant_objects, job.participants, strict=True)
             ):
-                pipeline = participant.build(self.scene, shot.plan, settings, self.outputs)
-                sources.append(Source(f"{participant.name}.{number}", pipeline))
+                name = f"{participant.name}.{number}"
+                outputs = replace(self.outputs, source=name)
+                pipeline = participant.build(self.scene, shot.plan, settings, outputs)
+                sources.append(Source(name, pipeline))
         self.renderer = FrameRenderer(self.runner, sources, self.outputs, timing)
+        says = job.method_object.history or any(p.history for p in job.participant_objects)
+        if self.has_history and not says:
+            raise ValueError("a pipeline holds history buffers, but nothing in the job says `history`")
         self._object_ids = np.array([name_id(o.name) for o in prepared.scene.objects], dtype=np.uint32)
         self._settings = pixel_relevant(job)
 
@@ -109,9 +118,12 @@ class ShotRenderer:
         at = frames.index(number)
         if at + 1 == len(frames):
             return {}
-        return frame_facts(
-            self.prepared.capture, self.prepared.shot.table, frames[at + 1], self.prepared.display
-        ).cameras
+        try:
+            return frame_facts(
+                self.prepared.capture, self.prepared.shot.table, frames[at + 1], self.prepared.display
+            ).cameras
+        except InputError:
+            return {}  # the next frame has no camera, so nothing is known to move
 
     def render(self, number: int, history: Mapping[str, np.ndarray] | None) -> RenderedFrame:
         """One frame. Raises InputError where its picture cannot be read."""

@@ -36,6 +36,7 @@ def run(
     events: tell.EventSink = tell.ignore,
     stop: threading.Event | None = None,
     expected_seconds: float | None = None,
+    forecast: tell.Forecast | None = None,
     stale_after: float = STALE_AFTER,
     poll: float = 0.5,
 ) -> RunResult:
@@ -45,7 +46,7 @@ def run(
     every frame asked for is there or in `failed`; frames that others have claimed are waited for
     (looked at every `poll` seconds) and taken over where their process died (other machines: no sign
     of life for `stale_after` seconds). `stop` ends the run at the next chance. `expected_seconds` a
-    frame is the prediction until the first is done.
+    frame is the prediction until the first is done; or give a `forecast`, which the renderer may feed.
 
     Raises JobError where the folder belongs to another job, ResourceError where it cannot be written
     at all. What goes wrong later stands in the result, so that the report can be written.
@@ -69,7 +70,7 @@ def run(
     try:
         with Presence(request.directory, owner, request.job_hash, stale_after=stale_after) as presence:
             work = _Run(request, render, verify, presence, events, stop or threading.Event(), poll)
-            work.forecast = tell.Forecast(expected_seconds)
+            work.forecast = forecast or tell.Forecast(expected_seconds)
             return work.run()
     except JobError:
         # A folder that belongs to somebody else is left as it was.
@@ -247,6 +248,7 @@ class _Run:
                     continue
                 if not self.claims.acquire(frame):
                     continue
+                self.forecast.frames_left = len(self.pending)
                 try:
                     self._do(frame)
                 finally:

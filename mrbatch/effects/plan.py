@@ -72,7 +72,10 @@ def make_plan(rules: Sequence[Rule], facts: ShotFacts, forced: Mapping[str, str]
             verdict = Verdict(
                 "forced-off", f"left out by the job; {verdict.why}", verdict.numbers, verdict.bound
             )
-        effects[rule.effect] = verdict
+        # Two who share an effect: it is simulated where either needs it.
+        before = effects.get(rule.effect)
+        if before is None or (before.state not in ON and verdict.state in ON):
+            effects[rule.effect] = verdict
     tiles: dict[tuple[int, str], np.ndarray] = {}
     words: dict[tuple[int, str], str] = {}
     changes = "light-change" in effects and effects["light-change"].state in ON

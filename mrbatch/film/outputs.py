@@ -36,18 +36,23 @@ class ViewOutput:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Views and estimates (names of `mrbatch.film.layers.ESTIMATES`) that are asked for."""
+    """Views and estimates (names of `mrbatch.film.layers.ESTIMATES`) that are asked for.
+
+    `source`: under which name the pipeline's film is kept, `method` or a participant's own; a participant
+    puts it before the names of its buffers, so that two of one type do not share them.
+    """
 
     views: tuple[ViewOutput, ...]
     needs: frozenset[str]
     seed: int
     engine: Engine
     device: str = "cpu"
+    source: str = "method"
 
-    def layout(self, view: ViewOutput, source: str = "method") -> FilmLayout:
-        """The film of a view: with D split where a layer needs it."""
+    def layout(self, view: ViewOutput, source: str | None = None) -> FilmLayout:
+        """The film of a view, of this pipeline or another `source`: with D split where a layer needs it."""
         channels = SPLIT_CHANNELS if "D_indirect" in self.needs else BASE_CHANNELS
-        return FilmLayout(view.window, view.name, source, channels)
+        return FilmLayout(view.window, view.name, self.source if source is None else source, channels)
 
 
 @dataclass(frozen=True)

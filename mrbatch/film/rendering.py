@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from mrbatch.contracts import Pipeline
+from mrbatch.contracts import Buffer, Pipeline
 from mrbatch.device.runner import Runner
 from mrbatch.device.timing import TimingNode
 from mrbatch.film.accumulator import Developed
@@ -50,13 +50,19 @@ class FrameRenderer:
         self.timing = timing
         pipelines = [source.pipeline for source in self.sources]
         runner.compile(pipelines, timing)
-        buffers = {b.name: b for pipeline in pipelines for b in pipeline.buffers}
+        buffers: dict[str, Buffer] = {}
+        for source in self.sources:
+            taken = [b.name for b in source.pipeline.buffers if b.name in buffers]
+            if taken:
+                raise ValueError(f"`{source.name}` shares the buffer `{taken[0]}` with another pipeline")
+            buffers.update({b.name: b for b in source.pipeline.buffers})
         for source in self.sources:
             for view in outputs.views:
                 for b in outputs.layout(view, source.name).buffers():
                     buffers[b.name] = b
         self._descriptions = buffers
         self.buffers = runner.allocate(tuple(buffers.values()))
+        self._shot_timing = timing
         self._shot_done = False
 
     @property
@@ -73,7 +79,11 @@ class FrameRenderer:
         history: Mapping[str, np.ndarray] | None = None,
         progress: Callable[[float], None] = lambda share: None,
     ) -> RenderedViews:
-        """One frame; `samples` a pixel, both halves together (rounded up to an even number)."""
+        """One frame; `samples` a pixel, both halves together (rounded up to an even number).
+
+        `progress(share)` is called before the first batch and after each. The first batch of the shot is
+        a single pair of samples, so that its time is known early; batches change no bit.
+        """
         frame = FrameInput(number, views, self.buffers)
         for name, description in self._descriptions.items():
             if description.lifetime in ("frame", "pass"):
@@ -95,17 +105,20 @@ class FrameRenderer:
                         step, bound[source.name], self.buffers, self.timing, units=units, **counts
                     )
 
-        if not self._shot_done:
-            run("shot")
-            self._shot_done = True
+        first_of_shot = not self._shot_done
+        if first_of_shot:
+            self._run_shot()
         run("frame")
         per_half = (samples + 1) // 2
         batch = max((source.pipeline.batch for source in self.sources), default=1)
-        for first in range(0, per_half, batch):
-            count = min(batch, per_half - first)
+        done = 0
+        progress(0.0)
+        while done < per_half:
+            count = min(1 if first_of_shot and done == 0 else batch, per_half - done)
             for half in (0, 1):
-                run("refine", half=half, first_sample=first, samples=count)
-            progress((first + count) / per_half)
+                run("refine", half=half, first_sample=done, samples=count)
+            done += count
+            progress(done / per_half)
         run("finish")
         estimates = {
             view.name: {
@@ -122,3 +135,11 @@ class FrameRenderer:
             if description.lifetime == "history"
         }
         return RenderedViews(estimates, self.buffers, kept)
+
+    def _run_shot(self) -> None:
+        """Runs the passes of the shot: over their whole domains, with nothing of any frame, and timed as
+        the shot's, so that which frame came first does not show."""
+        for source in self.sources:
+            for step in source.pipeline.shot:
+                self.runner.run(step, None, self.buffers, self._shot_timing)
+        self._shot_done = True
