@@ -1,14 +1,20 @@
 """Where in the picture virtual objects can change anything: a mask of decision tiles for each frame.
 
 A tile is done where a virtual object may be seen, or where a real surface is seen whose light a
-virtual object may change by half a code value or more. The bound is the light in the cone that
-holds all directions from the tile's part of the surface to the object:
+virtual object may change by half a code value or more. From the tile's part of the surface the object
+lies in some cone of directions, and fills a solid angle Omega of it at most, no higher than cos:
 
-    |Delta| <= gain rho / pi (light blocked + light sent) <= gain rho / pi (sum of L dw in the cone
-               + solid angle of the cone times the largest radiance the object can send).
+    |Delta| <= gain rho / pi cos (light taken away + light sent)
+            <= gain rho / pi cos (least of the light in the cone and Omega times its largest radiance
+                                  + Omega times the largest radiance that surfaces can send, twice).
 
-No ray is traced for it. Only surfaces that send bounded radiance (diffuse ones) have the second
-term; for others the tile is done wherever the object is on the surface's side.
+What changes on one real surface also changes what it sends to others: they change by no more than
+rho times the share G of their hemisphere that real surfaces fill, times the largest change anywhere,
+
+    |Delta| <= direct + rho G sup direct / (1 - largest rho of a real surface).
+
+No ray is traced for it. Where any surface is not diffuse, light can be focused and nothing bounds it:
+a tile is then done wherever the object, or a real surface that the object may change, is on its side.
 """
 
 from __future__ import annotations
@@ -21,7 +27,7 @@ from mrbatch.effects.facts import FrameFacts, ShotFacts
 from mrbatch.film.window import Window
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.mesh import Mesh
-from mrbatch.scene.scene import SceneObject
+from mrbatch.scene.scene import Scene, SceneObject
 
 MARGIN = 3.0
 """Pixels added around a tile: reconstruction filter, and the bend of a distorted edge within a tile."""
@@ -58,6 +64,119 @@ class _Bounds:
         return float(np.linalg.norm(self.high - self.low)) / 2
 
 
+@dataclass(frozen=True)
+class _Boxes:
+    """Boxes (n, 3) that hold parts of a surface."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    def cones(self, bounds: _Bounds) -> tuple[np.ndarray, np.ndarray]:
+        """Cones that hold every direction from a point of each box to a point of `bounds`: axes (n, 3),
+        cosines of the half angle (n,)."""
+        axis = bounds.centre - (self.low + self.high) / 2
+        distance = np.linalg.norm(axis, axis=1)
+        # From any point of one ball to any point of another.
+        radius = np.linalg.norm(self.high - self.low, axis=1) / 2 + bounds.radius
+        apart = distance > radius
+        with np.errstate(invalid="ignore", divide="ignore"):
+            cosine = np.where(apart, np.sqrt(np.maximum(1 - (radius / distance) ** 2, 0.0)), -1.0)
+            unit = np.where(distance[:, None] > 0, axis / distance[:, None], [0.0, 0.0, 1.0])
+        return unit, cosine
+
+    def reach(self, bounds: _Bounds, height: float) -> tuple[np.ndarray, np.ndarray]:
+        """Seen from any one point of each box: the most solid angle (n,) that `bounds` fills, and the
+        largest cosine (n,) of a direction there, where it reaches `height` above the box's plane."""
+        centre = np.maximum(np.maximum(bounds.centre - self.high, self.low - bounds.centre), 0.0)
+        distance = np.linalg.norm(centre, axis=1)
+        gap = np.linalg.norm(
+            np.maximum(np.maximum(bounds.low - self.high, self.low - bounds.high), 0.0), axis=1
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            sine = np.where(distance > bounds.radius, bounds.radius / distance, 1.0)
+            cosine = np.where(gap > 0.0, np.minimum(height / gap, 1.0), 1.0)
+        # 1 - cos in a form that keeps its digits for small angles.
+        omega = 2 * np.pi * sine**2 / (1 + np.sqrt(1 - sine**2))
+        return np.where(distance > bounds.radius, omega, 4 * np.pi), cosine
+
+
+class _LightBounds:
+    """Bounds of the light change on real surfaces of a scene. `unbounded`: any change at all counts."""
+
+    def __init__(self, scene: Scene, *, unbounded: bool) -> None:
+        self.light = scene.environment
+        self.fluence = scene.environment.fluence()
+        self.senders = [o for o in scene.virtual if o.cast_shadow]
+        self.real = [o for o in scene.real if o.cast_shadow]
+        casting = self.senders + self.real
+        albedo = max((float(_albedo(o).max()) for o in casting), default=0.0)
+        diffuse = all(o.material.kind == "diffuse" for o in casting)
+        # Radiance of a diffuse surface: albedo / pi times its irradiance, which is at most the light from
+        # all directions and what other surfaces return of it, a geometric series.
+        self.largest = albedo / np.pi * self.fluence / (1 - albedo) if diffuse and albedo < 1 else None
+        self.bounded = self.largest is not None and not unbounded
+        self.anywhere = np.zeros(3)
+        most = max((float(_albedo(o).max()) for o in self.real), default=0.0)
+        for o in self.real if self.senders else ():
+            if o.receive:
+                box = _bounds(o.mesh)
+                whole = _Boxes(box.low[None], box.high[None])
+                self.anywhere = np.maximum(self.anywhere, self._direct(o, whole, None)[0])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.anywhere = np.where(self.anywhere > 0.0, self.anywhere / (1 - most), 0.0)
+
+    def change(
+        self, surface: SceneObject, boxes: _Boxes, side: tuple[np.ndarray, float] | None
+    ) -> np.ndarray:
+        """(n, 3): no less than |Delta| on the part of `surface` in each box.
+
+        `side`: normal and offset of its plane, the normal towards the side that is seen, or None where it
+        is not flat.
+        """
+        return self._direct(surface, boxes, side) + self._indirect(surface, boxes, side)
+
+    def _direct(
+        self, surface: SceneObject, boxes: _Boxes, side: tuple[np.ndarray, float] | None
+    ) -> np.ndarray:
+        total = np.zeros((len(boxes.low), 3))
+        for item in self.senders:
+            box = _bounds(item.mesh)
+            if side is not None and _height(box, side) <= 0.0:
+                continue
+            if not self.bounded or surface.material.kind != "diffuse":
+                return np.where(_albedo(surface) > 0.0, np.full_like(total, np.inf), 0.0)
+            height = np.inf if side is None else _height(box, side)
+            omega, slope = boxes.reach(box, height)
+            # Taken away: the map's light or what real surfaces behind send. Added: what the object sends.
+            taken = self.light.bound_in_cones(*boxes.cones(box), omega)
+            total += slope[:, None] * (taken + omega[:, None] * 2 * self.largest)
+        return _albedo(surface) / np.pi * total
+
+    def _indirect(
+        self, surface: SceneObject, boxes: _Boxes, side: tuple[np.ndarray, float] | None
+    ) -> np.ndarray:
+        share = np.zeros(len(boxes.low))
+        for other in self.real:
+            box = _bounds(other.mesh)
+            height = np.inf
+            if side is not None:
+                height = _height(box, side)
+                if height <= 4 * np.spacing(np.float32(max(np.abs(box.low).max(), np.abs(box.high).max()))):
+                    continue
+            omega, slope = boxes.reach(box, height)
+            share += np.minimum(slope * omega / np.pi, 1.0)
+        factor = np.minimum(share, 1.0)[:, None] * _albedo(surface)
+        if surface.material.kind != "diffuse":
+            factor = np.where(factor > 0.0, np.inf, 0.0)
+        with np.errstate(invalid="ignore"):
+            return np.where((factor > 0.0) & (self.anywhere > 0.0), factor * self.anywhere, 0.0)
+
+
+def _height(bounds: _Bounds, side: tuple[np.ndarray, float]) -> float:
+    """How far a box reaches above a plane."""
+    return float((bounds.corners @ side[0] - side[1]).max())
+
+
 def _bounds(mesh: Mesh) -> _Bounds:
     return _Bounds(*mesh.bounds())
 
@@ -84,7 +203,7 @@ def screen_rectangle(camera: Camera, bounds: _Bounds) -> tuple[float, float, flo
     """Pixels (x0, y0, x1, y1) that a box may cover; everything where it reaches behind the camera; None
     where it is wholly behind."""
     pixels, depth = camera.project(bounds.corners)
-    near = NEAR_PLANE * max(bounds.radius, np.finfo(np.float32).tiny)
+    near = NEAR_PLANE * max(bounds.radius, float(np.finfo(np.float32).tiny))
     if camera.model != "perspective":
         return (-np.inf, -np.inf, np.inf, np.inf)
     if np.all(depth <= 0):
@@ -124,7 +243,7 @@ def _overlaps(tiles: np.ndarray, rectangle: tuple[float, float, float, float] | 
 
 def _pixel_directions(camera: Camera, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """World directions of pixels (n, 3), float64, not normalized; distortion undone by Newton-free fixed
-    point (only a bound is wanted: `MARGIN` covers its error)."""
+    point (only a bound is wanted: `MARGIN` covers its error), NaN where that does not settle to a pixel."""
     k = camera.matrix
     yd = (y - k[1, 2]) / k[1, 1]
     xd = (x - k[0, 2] - k[0, 1] * yd) / k[0, 0]
@@ -136,7 +255,10 @@ def _pixel_directions(camera: Camera, x: np.ndarray, y: np.ndarray) -> np.ndarra
             radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
             dx = 2 * p1 * xu * yu + p2 * (r2 + 2 * xu * xu)
             dy = p1 * (r2 + 2 * yu * yu) + 2 * p2 * xu * yu
+            last = xu, yu
             xu, yu = (xd - dx) / radial, (yd - dy) / radial
+        moved = np.maximum(np.abs(xu - last[0]) * k[0, 0], np.abs(yu - last[1]) * k[1, 1])
+        xu = np.where(moved < 1.0, xu, np.nan)
     local = np.stack([xu, yu, np.ones_like(xu)], axis=-1)
     return local @ camera.world_from_camera[:3, :3].T
 
@@ -170,17 +292,6 @@ def _surface_boxes(
     return low, high
 
 
-def _largest_radiance(item: SceneObject, fluence: np.ndarray, most_albedo: float) -> np.ndarray | None:
-    """(3,) bound of the radiance that a virtual object can send, None where there is none.
-
-    A diffuse surface: albedo / pi times its irradiance, at most the light from all directions, and
-    what other surfaces return of it as a geometric series.
-    """
-    if item.material.kind != "diffuse" or most_albedo >= 1.0:
-        return None
-    return _albedo(item) / np.pi * fluence / (1.0 - most_albedo)
-
-
 def _albedo(item: SceneObject) -> np.ndarray:
     if item.material.from_photo:
         return np.ones(3)
@@ -207,9 +318,7 @@ def influence(facts: ShotFacts, frame: FrameFacts, view: str, *, light_change: b
     for item in virtual:
         if item.camera:
             seen |= _overlaps(tiles, screen_rectangle(camera, _bounds(item.mesh)))
-    fluence = facts.scene.environment.fluence()
-    most_albedo = max(float(_albedo(o).max()) for o in facts.scene.objects)
-    threshold = facts.half_code
+    light = _LightBounds(facts.scene, unbounded=facts.half_code == 0.0 or not light_change)
     gain = np.asarray(frame.gains[view], dtype=np.float64)
     receivers = 0
     for surface in real if light_change else ():
@@ -223,37 +332,13 @@ def influence(facts: ShotFacts, frame: FrameFacts, view: str, *, light_change: b
         plane = plane_of(surface.mesh)
         low, high = _surface_boxes(camera, tiles, bounds, plane)
         here &= np.isfinite(low[:, 0])
-        total = np.zeros((len(tiles), 3))
-        for item in virtual:
-            if not item.cast_shadow:
-                continue
-            box = _bounds(item.mesh)
-            if plane is not None:
-                # Points of a plane change only by what is on the side that the camera sees.
-                side = np.sign(camera.world_from_camera[:3, 3] @ plane[0] - plane[1])
-                if np.all((box.corners @ plane[0] - plane[1]) * side <= 0):
-                    continue
-            centre = (low + high) / 2
-            radius = np.linalg.norm(high - low, axis=1) / 2 + box.radius
-            axis = box.centre - centre
-            distance = np.linalg.norm(axis, axis=1)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                sine = np.where(distance > radius, radius / distance, 1.0)
-            cosine = np.where(distance > radius, np.sqrt(np.maximum(1 - sine**2, 0.0)), -1.0)
-            unit = np.where(
-                distance[:, None] > 0, axis / np.maximum(distance, 1e-300)[:, None], [0.0, 0.0, 1.0]
-            )
-            sent = _largest_radiance(item, fluence, most_albedo)
-            if sent is None or threshold == 0.0:
-                total[here] = np.inf
-                continue
-            unit = np.where(here[:, None], unit, [0.0, 0.0, 1.0])
-            blocked = facts.scene.environment.bound_in_cones(unit, np.where(here, cosine, 1.0))
-            omega = 2 * np.pi * (1 - cosine)
-            # Light of real surfaces that is blocked is at most what they can send, as for virtual ones.
-            total += blocked + omega[:, None] * (sent + most_albedo / np.pi * fluence / (1 - most_albedo))
-        bound = gain * _albedo(surface) / np.pi * np.where(here[:, None], total, 0.0)
-        changed |= np.any(bound > threshold, axis=1)
+        side = None
+        if plane is not None:
+            # Points of a plane see only what is on the side that the camera sees.
+            sign = np.sign(camera.world_from_camera[:3, 3] @ plane[0] - plane[1])
+            side = (plane[0] * sign, plane[1] * sign)
+        bound = light.change(surface, _Boxes(low[here], high[here]), side)
+        changed[here] |= np.any(gain * bound > facts.half_code, axis=1)
     ids = np.nonzero(seen | changed)[0].astype(np.int32)
     if len(ids) == 0:
         why = (

@@ -142,16 +142,19 @@ class Environment:
         """(3,) float64: integral of L over all directions."""
         return self._integrals.total
 
-    def bound_in_cones(self, axis: np.ndarray, cos_half_angle: np.ndarray) -> np.ndarray:
+    def bound_in_cones(
+        self, axis: np.ndarray, cos_half_angle: np.ndarray, solid_angle: np.ndarray | None = None
+    ) -> np.ndarray:
         """Upper bound (n, 3) float64 of the integral of L over cones of directions.
 
         `axis` (n, 3) unit, world; `cos_half_angle` (n,), from 1 (a ray) to -1 (the whole sphere).
         Never below the true integral; looser by the light within one coarse cell (about 6 degrees)
-        of the rim.
+        of the rim. `solid_angle` (n,): of what lies somewhere in the cone, where that is less than all
+        of it; the bound is then of the light from there.
         """
         a = np.atleast_2d(np.asarray(axis, dtype=np.float64))
         cosine = np.atleast_1d(np.asarray(cos_half_angle, dtype=np.float64))
-        return self._integrals.bound_in_cones(a @ self.world_from_map, cosine)
+        return self._integrals.bound_in_cones(a @ self.world_from_map, cosine, solid_angle)
 
     def upload(self, device: str = "cpu") -> EnvironmentData:
         """The tables as the struct that kernels take."""
@@ -184,6 +187,7 @@ class Environment:
         data.leaf_bits = cut.bits
         data.leaf_density = 0.0 if self.black else 1.0 / (4.0**cut.bits * 2.0 * np.pi)
         data.leaves = array(cut.leaves.reshape(-1, 4), wp.vec4)
+        data.leaf_address = wp.uint64(data.leaves.ptr)
         data.splits = array(cut.splits, wp.float32)
         return data
 

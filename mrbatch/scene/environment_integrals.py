@@ -152,11 +152,13 @@ class EnvironmentIntegrals:
         radii = _radii(theta, phi)
         return centres.reshape(-1, 3), radii.ravel(), energy.reshape(-1, 3), largest.reshape(-1, 3)
 
-    def bound_in_cones(self, axis: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-        """(n, 3): no less than the integral of L over each cone.
+    def bound_in_cones(
+        self, axis: np.ndarray, cosine: np.ndarray, solid_angle: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(n, 3): no less than the integral of L over each cone, or over any part of it of `solid_angle`.
 
         The smaller of two bounds: all light of the coarse cells that the cone may touch, and the
-        largest radiance in those cells times the cone's solid angle.
+        largest radiance in those cells times the solid angle (the cone's, where None).
         """
         centres, radii, energy, largest = self._coarse
         cosine = np.clip(cosine, -1.0, 1.0)
@@ -170,7 +172,7 @@ class EnvironmentIntegrals:
             touched = axis[part] @ centres.T >= turn[part] @ cell - _ROUNDING
             touched |= half[part, None] + radii >= np.pi
             light = touched.astype(np.float64) @ energy
-            omega = 2.0 * np.pi * (1.0 - cosine[part])
+            omega = 2.0 * np.pi * (1.0 - cosine[part]) if solid_angle is None else solid_angle[part]
             for channel in range(3):
                 brightest = np.where(touched, largest[:, channel], np.float32(0.0)).max(axis=1)
                 light[:, channel] = np.minimum(light[:, channel], brightest * omega)
