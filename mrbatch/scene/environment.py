@@ -187,7 +187,6 @@ class Environment:
         data.leaf_bits = cut.bits
         data.leaf_density = 0.0 if self.black else 1.0 / (4.0**cut.bits * 2.0 * np.pi)
         data.leaves = array(cut.leaves.reshape(-1, 4), wp.vec4)
-        data.leaf_address = wp.uint64(data.leaves.ptr)
         data.splits = array(cut.splits, wp.float32)
         return data
 
