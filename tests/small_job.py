@@ -6,6 +6,8 @@ Everything is made from fixed seeds, so that two folders with the same arguments
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -104,3 +106,38 @@ def write_job(
     path = folder / "job.yaml"
     path.write_text(json.dumps(job | parts), encoding="utf-8")
     return path
+
+
+def start(job: Path, out: Path, *options: object) -> subprocess.Popen[str]:
+    """`mrbatch render` as a process of its own, telling its progress as JSON on standard error."""
+    command = [sys.executable, "-m", "mrbatch", "render", str(job), "--output", str(out), "--no-report"]
+    command += ["--progress", "json", "--threads", "1", *map(str, options)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen[str]) -> list[dict[str, Any]]:
+    """Waits for the end; the events that were told, without lines that are not JSON."""
+    _, told = process.communicate(timeout=120)
+    return [json.loads(line) for line in told.splitlines() if line.startswith("{")]
+
+
+def wait_for(process: subprocess.Popen[str], kind: str) -> dict[str, Any]:
+    """Reads events until one of `kind` comes."""
+    assert process.stderr is not None
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if line.startswith("{") and (event := json.loads(line))["event"] == kind:
+            return event
+    raise AssertionError(f"no {kind}: {''.join(lines)}")
+
+
+def frames_in(folder: Path) -> dict[str, bytes]:
+    """The bytes of every frame under its final name."""
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.exr")) if path.name[0] != "."}
+
+
+def strangers_in(folder: Path) -> list[str]:
+    """Files that a run must not leave: temporary ones, claims, signs of life."""
+    names = [path.name for path in folder.rglob("*") if path.is_file()]
+    return [name for name in names if name.startswith(".") or name.endswith((".claim", ".alive"))]

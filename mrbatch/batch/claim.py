@@ -39,11 +39,12 @@ class Claims:
     def release(self, frame: int) -> None:
         """Give a frame back. A claim that somebody took over meanwhile is theirs and stays."""
         if frame in self._held:
-            self._held.discard(frame)
             path = self.path(frame)
             if read_claim(path) == self.presence.owner.name:
                 with contextlib.suppress(OSError):
                     path.unlink()
+            # Only now: a signal before this line leaves it to release_all.
+            self._held.discard(frame)
 
     def release_all(self) -> None:
         for frame in sorted(self._held):

@@ -246,7 +246,9 @@ class _Run:
                 if self.chain.is_busy(frame, self.claims.holder):
                     busy.add(segment)
                     continue
-                if not self.claims.acquire(frame):
+                with interrupts.shielded():
+                    ours = self.claims.acquire(frame)
+                if not ours:
                     continue
                 self.forecast.frames_left = len(self.pending)
                 try:
