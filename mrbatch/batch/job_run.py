@@ -20,6 +20,7 @@ from mrbatch.batch.render import RenderedFrame, ShotRenderer
 from mrbatch.batch.request import RunRequest, RunResult
 from mrbatch.batch.run import run
 from mrbatch.batch.shot import commit_shot
+from mrbatch.contracts import Method, Participant
 from mrbatch.device.runner import usable_cores
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import MrbatchError, worst_exit_code
@@ -121,6 +122,7 @@ class _Renderer:
         self._events = events
         self._forecast = forecast
         self._shot: ShotRenderer | None = None
+        self._committed = False
         self._began = self._sampled = 0.0
 
     def __enter__(self) -> _Renderer:
@@ -162,7 +164,9 @@ class _Renderer:
             self._events(prediction)
 
     def __call__(self, number: int, history: Any) -> RenderedFrame:
-        commit_shot(self._prepared.job.output.directory, self._prepared.shot, Owner.here().name)
+        if not self._committed:
+            commit_shot(self._prepared.job.output.directory, self._prepared.shot, Owner.here().name)
+            self._committed = True
         shot = self._renderer()
         self._began = time.monotonic()
         return shot.render(number, history)
@@ -241,7 +245,8 @@ def make_report(
     rays = sum(count for name, count in timing.total_counters().items() if name.endswith("rays"))
     busy = sum(entry.seconds for n, entry in result.entries.items() if n in result.rendered)
     timing.seconds, timing.calls = result.seconds, 1
-    rules = [rule for owner in (*job.participant_objects, job.method_object) for rule in owner.rules]
+    owners: list[Method | Participant] = [*job.participant_objects, job.method_object]
+    rules = [rule for owner in owners for rule in owner.rules]
     meanings = {rule.effect: rule.meaning for rule in rules}
     return Report(
         job=ReportedJob(
