@@ -240,7 +240,7 @@ def _exr() -> tuple[str, Mapping[str, Any]]:
     import OpenImageIO as oiio
 
     rng = np.random.default_rng(1)
-    parts = [rng.random((5, 7, 3)).astype(np.float16), rng.random((5, 7, 3)).astype(np.float32)]
+    parts: list[np.ndarray] = [rng.random((5, 7, 3)).astype(kind) for kind in (np.float16, np.float32)]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         path = str(Path(folder) / "two_parts.exr")
         specs = [oiio.ImageSpec(7, 5, 3, kind) for kind in ("half", "float")]
@@ -260,7 +260,8 @@ def _exr() -> tuple[str, Mapping[str, Any]]:
         if source is None:
             raise ResourceError(f"EXR cannot be read: {oiio.geterror()}")
         for number, part in enumerate(parts):
-            if not np.array_equal(source.read_image(number, 0, 0, 3, oiio.FLOAT), part.astype(np.float32)):
+            back = np.asarray(source.read_image(number, 0, 0, 3, oiio.FLOAT))
+            if not np.array_equal(back, part.astype(np.float32)):
                 raise ResourceError("EXR pixels come back changed")
         source.close()
     return f"OpenImageIO {oiio.VERSION_STRING}: two parts written and read back", {}

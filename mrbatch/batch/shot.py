@@ -139,4 +139,7 @@ def commit_shot(directory: Path, shot: Shot, owner: str) -> None:
             )
         return again.hash
 
-    commit_file(path, lambda p: p.write_text(text, encoding="utf-8") and None, verify, owner)
+    def write(there: Path) -> None:
+        there.write_text(text, encoding="utf-8")
+
+    commit_file(path, write, verify, owner)

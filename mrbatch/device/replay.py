@@ -35,8 +35,8 @@ _REPLAY_SOURCE = """
         r.ox = q.o[0]; r.oy = q.o[1]; r.oz = q.o[2]; r.tnear = 0.0f;
         r.dx = q.d[0]; r.dy = q.d[1]; r.dz = q.d[2]; r.time = 0.0f; r.tfar = q.tfar;
         r.mask = 0xffffffffu; r.id = 0; r.flags = 0; r.geom = 0xffffffffu; r.inst[0] = 0xffffffffu;
-        if (q.kind == 0) { ((Function)intersect)((void*)q.scene, &r, (void*)0); hits += r.geom != 0xffffffffu; }
-        else { ((Function)occluded)((void*)q.scene, &r, (void*)0); hits += r.tfar < 0.0f; }
+        ((Function)(q.kind == 0 ? intersect : occluded))((void*)q.scene, &r, (void*)0);
+        hits += q.kind == 0 ? r.geom != 0xffffffffu : r.tfar < 0.0f;
     }
     return hits;
 """

@@ -119,7 +119,7 @@ class Runner:
             for counter in step.counters:
                 node.count(counter.name, 0)
             return
-        unit_ids = wp.array(ids, dtype=wp.int32, device=self.device)
+        unit_ids: Any = wp.array(ids, dtype=wp.int32, device=self.device)
         size = self.units_per_launch or max(
             1, min(MAX_UNITS_PER_LAUNCH, -(-total // (LAUNCHES_PER_THREAD * self.threads)))
         )

@@ -30,7 +30,7 @@ def compile_and_run() -> float:
     @wp.kernel(enable_backward=False, module="unique")
     def squares(out: wp.array(dtype=wp.float32)):
         i = wp.tid()
-        out[i] = wp.float32(i) * wp.float32(i)
+        out[i] = wp.float32(i * i)
 
     out = wp.zeros(100, dtype=wp.float32, device="cpu")
     kept = wp.config.kernel_cache_dir
@@ -96,8 +96,8 @@ def _cast(engine: Engine, mesh: RayMesh, o: np.ndarray, d: np.ndarray) -> Casts:
     start()
     built = build_set([mesh], engine)
     out: list[Any] = [wp.zeros(len(o), dtype=kind, device="cpu") for kind in (wp.float32, wp.int32)]
-    origins, directions = (wp.array(a, dtype=wp.vec3, device="cpu") for a in (o, d))
-    wp.launch(cast, len(o), [built.data, origins, directions, *out], device="cpu")
+    given: list[Any] = [wp.array(a, dtype=wp.vec3, device="cpu") for a in (o, d)]
+    wp.launch(cast, len(o), [built.data, *given, *out], device="cpu")
     t, triangle = (a.numpy() for a in out)
     return Casts(np.where(triangle < 0, np.inf, t), triangle)
 

@@ -49,7 +49,8 @@ def scene_files(
 ) -> list[Path]:
     """Every file that the scene's pixels depend on, each once."""
     files: list[Path] = [environment.file] if environment else []
-    for item in (*real, *virtual):
+    items: list[given.RealObject | given.VirtualObject] = [*real, *virtual]
+    for item in items:
         if item.mesh is not None:
             files.append(item.mesh)
         reflectance = item.material.reflectance if isinstance(item, given.VirtualObject) else item.reflectance

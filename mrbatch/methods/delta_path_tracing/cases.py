@@ -77,7 +77,12 @@ def floor(size: float = 2.0**12) -> Mesh:
 
 
 def look_at(
-    eye: Sequence[float], target: Sequence[float], *, width: int, height: int, focal: float
+    eye: Sequence[float] | np.ndarray,
+    target: Sequence[float] | np.ndarray,
+    *,
+    width: int,
+    height: int,
+    focal: float,
 ) -> Camera:
     """A pinhole at `eye` whose middle pixel looks at `target`; x of the picture is horizontal."""
     e, t = np.asarray(eye, dtype=np.float64), np.asarray(target, dtype=np.float64)
@@ -114,7 +119,7 @@ class Probe:
 
 def probe(
     scene: Scene,
-    point: Sequence[float],
+    point: Sequence[float] | np.ndarray,
     *,
     normal: Sequence[float] = (0, 0, 1),
     distance: float = 1.0,
