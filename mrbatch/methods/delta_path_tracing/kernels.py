@@ -377,9 +377,10 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                 for side in range(first_leg, legs):
                     among = scene.all_set
                     start = plus
-                    if side == 1:
-                        among = scene.real_set
-                        start = minus
+                    if wp.static(flags.real_on_real):
+                        if side == 1:
+                            among = scene.real_set
+                            start = minus
                     leg = path(scene, frame.photo, settings, among, start, plus_direction, edges, key, index)
                     shadow_rays += leg.shadow_rays
                     scatter_rays += leg.scatter_rays

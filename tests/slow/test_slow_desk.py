@@ -1,0 +1,49 @@
+"""Composites of the desk sets against another renderer's truth, with the object really there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from desk_scene import SETS, desk, judge, rays_as_the_truth_starts_them
+
+from mrbatch.methods.delta_path_tracing import METHOD as DELTA
+from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
+
+pytestmark = pytest.mark.slow
+CASES = [(name, kind, frame) for name in SETS for kind in ("diffuse", "metal") for frame in (0, 4)]
+
+
+@pytest.mark.parametrize(("name", "kind", "frame"), CASES)
+def test_composite_against_the_truth(shared_data, name, kind, frame, capsys):
+    scene = desk(shared_data, name, kind)
+    found = judge(DELTA, scene, frame, spp=512, max_depth=8)
+    baseline = judge(IMAGE_BASED, scene, frame, spp=64)
+    test = found.test
+    beyond = np.nanmax(np.abs(test.z), axis=2) > test.limit
+    with capsys.disabled():
+        interval = f"{100 * test.difference.low:+.3f}..{100 * test.difference.high:+.3f} %"
+        print(
+            f"\n{name} {kind} {frame}: difference {interval},",
+            f"largest z {test.largest:.2f} of {test.limit:.2f}, rms {test.rms:.2f},",
+            f"relMSE {found.relmse:.5f} (image-based lighting {baseline.relmse:.4f}),",
+            f"variance {found.ours:.2e} (truth {found.theirs:.2e}),",
+            f"{found.seconds:.1f} s, {found.rays / 1e6:.0f} Mrays",
+        )
+    assert test.difference.low > -0.01 and test.difference.high < 0.01
+    assert found.ours <= found.theirs
+    assert found.relmse < 0.15 * baseline.relmse
+    # The truth starts its rays a tenth of a millimetre off: some tiles show it (next test).
+    assert beyond.sum() <= 0.02 * np.isfinite(test.z[..., 0]).sum()
+
+
+@pytest.mark.parametrize(("name", "kind", "frame"), CASES)
+def test_no_tile_differs_once_rays_start_where_the_truths_do(shared_data, name, kind, frame, capsys):
+    """The proof of the estimator: with the same offset of rays nothing but noise is left."""
+    scene = desk(shared_data, name, kind)
+    with rays_as_the_truth_starts_them():
+        test = judge(DELTA, scene, frame, spp=256, max_depth=8).test
+    with capsys.disabled():
+        figures = f"z {test.largest:.2f} of {test.limit:.2f}, rms {test.rms:.2f}"
+        print(f"\n{name} {kind} {frame}, offset of the truth: {figures}")
+    assert test.passed
+    assert 0.5 < test.rms < 1.2
