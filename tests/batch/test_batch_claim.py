@@ -150,7 +150,7 @@ def test_a_sign_that_others_removed_comes_back(present):
     presence = present(stale_after=0.4)
     presence.path.unlink()
     for _ in range(100):
-        if presence.path.exists():
+        if presence.path.exists() and presence.path.stat().st_size:  # made first, then written
             break
         time.sleep(0.05)
     assert json.loads(presence.path.read_text())["owner"]["pid"] == os.getpid()
