@@ -110,8 +110,8 @@ def checks(*, thorough: bool, folder: Path) -> list[Check]:
         Check("cores", _cores, ""),
         Check("memory", _memory, ""),
         Check("disk", lambda: _disk(folder), "choose another folder with --output"),
-        Check("kernel compiler", _compiler, "install warp-lang again; it brings its own compiler"),
         Check("kernel cache", _cache, "set WARP_CACHE_PATH to a folder that can be written"),
+        Check("kernel compiler", _compiler, "install warp-lang again; it brings its own compiler"),
         Check(
             "ray engine Embree",
             _embree,

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from mrbatch.contracts import Buffer, Pass, Pipeline, Span
-from mrbatch.device.startup import start
+from mrbatch.device.startup import cache_error, start
 from mrbatch.device.timing import ThreadClock, TimingNode
 
 LAUNCHES_PER_THREAD = 8
@@ -75,7 +75,7 @@ class Runner:
         """Loads every kernel of the pipelines before any thread launches one.
 
         Two threads that launch the same unloaded kernel would both compile it. Gives the number of
-        modules.
+        modules. Raises ResourceError where compiled kernels cannot be written.
         """
         modules = {}
         for pipeline in pipelines:
@@ -85,7 +85,11 @@ class Runner:
         with timing.measure("compile"):
             for module in modules.values():
                 # A launch on the CPU asks for blocks of one thread, and the size is part of the cache key.
-                wp.load_module(module, self.device, block_dim=1 if self.device == "cpu" else None)
+                block = 1 if self.device == "cpu" else None
+                try:
+                    wp.load_module(module, self.device, block_dim=block)
+                except OSError as error:
+                    raise cache_error(error) from error
         return len(modules)
 
     def allocate(self, buffers: Sequence[Buffer]) -> dict[str, Any]:
