@@ -15,15 +15,13 @@ from typing import Any, Literal
 
 import warp as wp
 
-from mrbatch.kernels.numerics import arctangent2
+from mrbatch.kernels.numerics import arctangent2, sine_cosine_turns
 
 _INV_PI = wp.constant(wp.float32(0.3183098861837907))
 _INV_TWO_PI = wp.constant(wp.float32(0.15915494309189535))
 _PI = wp.constant(wp.float64(3.141592653589793))
 _ONE = wp.constant(wp.float64(1.0))
 _ZERO = wp.constant(wp.float64(0.0))
-_PI32 = wp.constant(wp.float32(3.141592653589793))
-_TWO_PI = wp.constant(wp.float32(6.283185307179586))
 
 
 @wp.struct
@@ -178,10 +176,10 @@ def median_cut_sample(env: EnvironmentData, u: wp.vec2d) -> EnvironmentSample:
     j = wp.min(int(column), count - 1)
     leaf = env.leaves[i * count + j]
     z = leaf[0] - float(row - wp.float64(i)) * leaf[1]
-    phi = _PI32 - (leaf[2] + float(column - wp.float64(j)) * leaf[3]) * _TWO_PI
+    azimuth = sine_cosine_turns(0.5 - (leaf[2] + float(column - wp.float64(j)) * leaf[3]))
     sine = wp.sqrt(wp.max((1.0 - z) * (1.0 + z), 0.0))
     result = EnvironmentSample()
-    result.direction = wp.transpose(env.map_from_world) @ wp.vec3(sine * wp.cos(phi), sine * wp.sin(phi), z)
+    result.direction = wp.transpose(env.map_from_world) @ wp.vec3(sine * azimuth[1], sine * azimuth[0], z)
     area = leaf[1] * leaf[3]
     if area > 0.0:
         result.pdf = env.leaf_density / area

@@ -14,6 +14,7 @@ OFFSET = wp.constant(wp.float32(2.0**-20))
 _PI = wp.constant(wp.float32(3.141592653589793))
 _HALF_PI = wp.constant(wp.float32(1.5707963267948966))
 _QUARTER_PI = wp.constant(wp.float32(0.7853981633974483))
+_TWO_PI = wp.constant(wp.float32(6.283185307179586))
 _ONE = wp.constant(wp.float64(1.0))
 _ZERO = wp.constant(wp.float64(0.0))
 
@@ -52,6 +53,27 @@ def arctangent2(y: float, x: float) -> float:
     angle = wp.where(ay > ax, _HALF_PI - angle, angle)
     angle = wp.where(x < 0.0, _PI - angle, angle)
     return wp.where(y < 0.0, -angle, angle)
+
+
+@wp.func
+def sine_cosine(angle: float) -> wp.vec2:
+    """(sin, cos) for |angle| <= pi / 4, to about a unit in the last place, from nothing but exactly
+    rounded operations. Polynomials of Cephes' `sinf` and `cosf` (Moshier)."""
+    z = angle * angle
+    sine = ((-1.9515295891e-4 * z + 8.3321608736e-3) * z - 1.6666654611e-1) * z * angle + angle
+    cosine = ((2.443315711809948e-5 * z - 1.388731625493765e-3) * z + 4.166664568298827e-2) * z * z
+    return wp.vec2(sine, cosine - 0.5 * z + 1.0)
+
+
+@wp.func
+def sine_cosine_turns(turns: float) -> wp.vec2:
+    """(sin, cos) of 2 pi `turns`, for some turns around 0: reduced exactly, then `sine_cosine`."""
+    quarter = wp.floor(4.0 * turns + 0.5)
+    part = sine_cosine(_TWO_PI * (turns - 0.25 * quarter))
+    k = int(quarter) & 3
+    sine = wp.where((k & 1) == 1, part[1], part[0])
+    cosine = wp.where((k & 1) == 1, part[0], part[1])
+    return wp.vec2(wp.where(k >= 2, -sine, sine), wp.where(k == 1 or k == 2, -cosine, cosine))
 
 
 @wp.func

@@ -134,7 +134,8 @@ def _owen_x(permuted: wp.uint32, h: wp.uint64) -> wp.uint32:
 
 @wp.func
 def _owen_y(permuted: wp.uint32, h: wp.uint64) -> wp.uint32:
-    seed = _high(mix64(h + _GOLDEN))
+    # The upper half of an odd multiple of mixed bits: as good as mixing again, at a third of the cost.
+    seed = _high(h * _STRIDE)
     return _reverse_bits(_scramble_reversed(_second_sobol_reversed(permuted), seed))
 
 

@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 import warp as wp
 
+from mrbatch.kernels.numerics import sine_cosine, sine_cosine_turns
+
 PixelFilter = Literal["box", "gaussian", "blackman-harris"]
 
 PI = wp.constant(wp.float32(math.pi))
-TWO_PI = wp.constant(wp.float32(2.0 * math.pi))
 _QUARTER_PI = wp.constant(wp.float32(0.25 * math.pi))
-_HALF_PI = wp.constant(wp.float32(0.5 * math.pi))
 
 # Blackman and Harris's window of four terms, written about its centre (all cosines positive).
 _BH = (0.35875, 0.48829, 0.14128, 0.01168)
@@ -28,15 +28,13 @@ def concentric_disk(u: wp.vec2) -> wp.vec2:
     """Uniform point of the unit disc; area preserving with bounded distortion (Shirley and Chiu 1997)."""
     x = 2.0 * u[0] - 1.0
     y = 2.0 * u[1] - 1.0
-    radius = float(0.0)
-    angle = float(0.0)
     if wp.abs(x) > wp.abs(y):
-        radius = x
-        angle = _QUARTER_PI * (y / x)
-    elif y != 0.0:
-        radius = y
-        angle = _HALF_PI - _QUARTER_PI * (x / y)
-    return wp.vec2(radius * wp.cos(angle), radius * wp.sin(angle))
+        part = sine_cosine(_QUARTER_PI * (y / x))
+        return wp.vec2(x * part[1], x * part[0])
+    if y == 0.0:
+        return wp.vec2(0.0, 0.0)
+    part = sine_cosine(_QUARTER_PI * (x / y))
+    return wp.vec2(y * part[0], y * part[1])
 
 
 @wp.func
@@ -53,8 +51,8 @@ def uniform_sphere(u: wp.vec2) -> wp.vec3:
     sin(theta) = 2 sqrt(u0 (1 - u0)), which keeps its digits at the poles where 1 - z^2 loses them.
     """
     sine = 2.0 * wp.sqrt(u[0] * (1.0 - u[0]))
-    angle = TWO_PI * u[1]
-    return wp.vec3(sine * wp.cos(angle), sine * wp.sin(angle), 1.0 - 2.0 * u[0])
+    azimuth = sine_cosine_turns(u[1])
+    return wp.vec3(sine * azimuth[1], sine * azimuth[0], 1.0 - 2.0 * u[0])
 
 
 @wp.func
@@ -69,9 +67,9 @@ def ggx_visible_normal(wo: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
     view = wp.normalize(wp.vec3(alpha * wo[0], alpha * wo[1], wo[2]))
     below = u[1] * (1.0 + view[2])
     sine = wp.sqrt(wp.max(0.0, below * (2.0 - below)))
-    angle = TWO_PI * u[0]
-    hx = sine * wp.cos(angle) + view[0]
-    hy = sine * wp.sin(angle) + view[1]
+    azimuth = sine_cosine_turns(u[0])
+    hx = sine * azimuth[1] + view[0]
+    hy = sine * azimuth[0] + view[1]
     hz = (1.0 - u[1]) * (1.0 + view[2])
     return wp.normalize(wp.vec3(alpha * hx, alpha * hy, hz))
 

@@ -39,7 +39,8 @@ class SceneData:
     """Geometry, materials and light. Positions are metres relative to the scene's origin.
 
     Ray sets: `camera_set` is what the camera sees (real and virtual), `photo_set` its real part;
-    `all_set` what surfaces see, `real_set` and `virtual_set` its two parts.
+    `all_set` what surfaces see, `real_set` and `virtual_set` its two parts. `facets` are the triangles' unit
+    normals, wanted at every hit.
     """
 
     camera_set: RaySet
@@ -51,6 +52,7 @@ class SceneData:
     normals: wp.array(dtype=wp.vec3)
     uvs: wp.array(dtype=wp.vec2)
     corners: wp.array(dtype=wp.vec3i)
+    facets: wp.array(dtype=wp.vec3)
     triangle_object: wp.array(dtype=wp.int32)
     objects: wp.array(dtype=ObjectData)
     textures: TextureAtlas
@@ -87,7 +89,7 @@ def surface_point(scene: SceneData, triangle: wp.int32, u: float, v: float, d: w
     point = SurfacePoint()
     point.object = scene.triangle_object[triangle]
     point.p = a + e1 * u + e2 * v
-    point.ng = wp.normalize(wp.cross(e1, e2))
+    point.ng = scene.facets[triangle]
     point.ns = point.ng
     # Terms of the interpolation as they enter along the normal: 0 for a plane through an axis plane
     # of the origin, whose points are exact, however large its triangles.
@@ -130,7 +132,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
     start()
     data = SceneData()
     meshes: list[RayMesh] = []
-    vertices, normals, uvs, corners, owners = [], [], [], [], []
+    vertices, normals, uvs, corners, facets, owners = [], [], [], [], [], []
     objects = []
     textures: list[np.ndarray] = []
     n_vertices = n_triangles = 0
@@ -143,6 +145,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
         normals.append(mesh.normals if mesh.normals is not None else np.zeros((n, 3), np.float32))
         uvs.append(mesh.uvs if mesh.uvs is not None else np.zeros((n, 2), np.float32))
         corners.append(mesh.faces + n_vertices)
+        facets.append(mesh.face_normals())
         owners.append(np.full(len(mesh.faces), number, np.int32))
         meshes.append(RayMesh(number, local, mesh.faces, n_triangles))
         n_vertices += n
@@ -172,6 +175,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
     data.vertices = wp.array(joined(vertices, 3, np.float32), dtype=wp.vec3, device=device)
     data.normals = wp.array(joined(normals, 3, np.float32), dtype=wp.vec3, device=device)
     data.uvs = wp.array(joined(uvs, 2, np.float32), dtype=wp.vec2, device=device)
+    data.facets = wp.array(joined(facets, 3, np.float32), dtype=wp.vec3, device=device)
     data.corners = wp.array(joined(corners, 3, np.int32), dtype=wp.vec3i, device=device)
     owner = np.concatenate(owners) if owners else np.zeros(1, np.int32)
     data.triangle_object = wp.array(owner, dtype=wp.int32, device=device)

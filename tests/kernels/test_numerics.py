@@ -220,3 +220,23 @@ def test_luminance_and_max_component():
     got = run(_scalars, [a], (5, 2), float)
     assert np.allclose(got[:4, 0], [0.2126, 0.7152, 0.0722, 1.0], rtol=1e-6)
     assert got[:, 1].tolist() == [1, 1, 1, 1, -2]
+
+
+def test_sine_and_cosine_are_exact_to_an_ulp_or_so():
+    from mrbatch.kernels.numerics import sine_cosine, sine_cosine_turns
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def run(a: wp.array(dtype=float), small: wp.array(dtype=wp.vec2), turns: wp.array(dtype=wp.vec2)):
+        i = wp.tid()
+        small[i] = sine_cosine(a[i] * 0.7853982)
+        turns[i] = sine_cosine_turns(a[i])
+
+    x = np.linspace(-1.0, 1.0, 200_001).astype(np.float32)
+    out = [wp.zeros(len(x), dtype=wp.vec2, device="cpu") for _ in range(2)]
+    wp.launch(run, len(x), [wp.array(x, dtype=float, device="cpu"), *out], device="cpu")
+    angle = (x * np.float32(0.7853982)).astype(np.float32).astype(np.float64)
+    truth = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    assert np.abs(out[0].numpy() - truth).max() < 1.2e-7
+    angle = 2.0 * np.pi * x.astype(np.float64)
+    truth = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    assert np.abs(out[1].numpy() - truth).max() < 2.5e-7

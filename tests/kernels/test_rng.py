@@ -135,7 +135,7 @@ def twin_owen(key, index, dimension):
     h = twin_mix(key + ((dimension & M32) + 1) * 0xD1342543DE82EF95 & M64)
     permuted = twin_scramble(index & M32, h & M32)
     x, y = twin_sobol(permuted)
-    other = twin_mix(h + 0x9E3779B97F4A7C15 & M64) >> 32
+    other = (h * 0xD1342543DE82EF95 & M64) >> 32
     return twin_scramble(x, h >> 32), twin_scramble(y, other)
 
 

@@ -146,6 +146,13 @@ def make_kernel(flags: Flags) -> DeltaKernel:
         return wp.where(wp.static(sample_light), 0.0, 1.0)
 
     @wp.func
+    def reach_of(scene: SceneData) -> RaySet:
+        # Where real points see nothing real, only virtual objects can be met.
+        if wp.static(flags.real_on_real):
+            return scene.all_set
+        return scene.virtual_set
+
+    @wp.func
     def survival(throughput: wp.vec3, edges: int, settings: Settings) -> float:
         if edges < settings.roulette_from:
             return 1.0
@@ -328,19 +335,28 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             throughput = wp.cw_mul(throughput, drawn.weight)
                             o = offset_origin(point.p, point.ng, d, point.reach)
                             scatter_rays += 1
-                            seen = trace(scene.virtual_set, o, d, FAR)
-                            behind_t = FAR
                             behind_triangle = wp.int32(-1)
                             behind_u = float(0.0)
                             behind_v = float(0.0)
+                            forks = bool(False)
+                            seen = trace(reach_of(scene), o, d, FAR)
                             if wp.static(flags.real_on_real):
-                                scatter_rays += 1
-                                behind = trace(scene.real_set, o, d, FAR)
-                                behind_t = behind.t
-                                behind_triangle = behind.triangle
-                                behind_u = behind.u
-                                behind_v = behind.v
-                            if seen.triangle >= 0 and seen.t < behind_t:
+                                # Most rays meet something real, or nothing, first: one query tells.
+                                behind_triangle = seen.triangle
+                                behind_u = seen.u
+                                behind_v = seen.v
+                                if seen.triangle >= 0:
+                                    owner = scene.triangle_object[seen.triangle]
+                                    forks = (scene.objects[owner].flags & VIRTUAL) != 0
+                                if forks:
+                                    scatter_rays += 1
+                                    behind = trace(scene.real_set, o, d, FAR)
+                                    behind_triangle = behind.triangle
+                                    behind_u = behind.u
+                                    behind_v = behind.v
+                            else:
+                                forks = seen.triangle >= 0
+                            if forks:
                                 edges += 1
                                 fork_throughput = throughput
                                 if behind_triangle < 0:
