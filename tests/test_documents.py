@@ -1,0 +1,72 @@
+"""README and docs agree with what they describe."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mrbatch.cli import COMMANDS
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def test_the_manual_of_the_job_file_is_up_to_date():
+    from mrbatch.job.manual import manual_text
+
+    stored = (ROOT / "docs" / "job_manual.md").read_text(encoding="utf-8")
+    assert stored == manual_text(), "run: mrbatch schema --manual --output docs/job_manual.md"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    targets = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+    local = [target for target in targets if "://" not in target]
+    assert not [target for target in local if not (page.parent / target).exists()]
+
+
+def test_the_index_names_every_page():
+    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    assert not [
+        page.name
+        for page in (ROOT / "docs").glob("*.md")
+        if page.name != "README.md" and f"({page.name})" not in index
+    ]
+
+
+def test_the_architecture_names_every_room():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rooms = [path.parent.name for path in (ROOT / "mrbatch").glob("*/__init__.py")]
+    assert not [room for room in rooms if f"`{room}/`" not in text]
+
+
+def test_the_readme_names_every_command_and_no_other():
+    assert set(re.findall(r"^\| `mrbatch (\w+)", README, flags=re.MULTILINE)) == set(COMMANDS)
+
+
+def test_the_jobs_that_the_readme_renders_are_there():
+    jobs = re.findall(r"mrbatch render (\S+\.yaml)", README)
+    assert jobs
+    assert not [job for job in jobs if not (ROOT / job).is_file()]
+
+
+def test_continuous_integration_calls_the_test_command_of_the_readme():
+    commands = re.findall(r"\.venv/bin/(python -m pytest[^`\n]*)", README)
+    assert commands == ["python -m pytest", "python -m pytest -m slow"]
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert all(re.search(rf"^{re.escape(command)}", script, flags=re.MULTILINE) for command in commands)
+
+
+def test_dependencies_are_described():
+    import tomllib
+
+    from packaging.requirements import Requirement
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = [*project["dependencies"], *project["optional-dependencies"]["test"]]
+    text = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
+    described = set(re.findall(r"^\| ([\w.-]+)", text, flags=re.MULTILINE)) - {"package", "---"}
+    assert described == {Requirement(line).name for line in lines}
