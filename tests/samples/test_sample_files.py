@@ -139,6 +139,6 @@ def test_first_frame_renders_small(tmp_path):
     change = (picture - photo)[~covered]
     assert change.min() < -0.2
     assert view.channels["shadow"].max() > 0.5
-    # Depth has camera rays of its own, so that a sliver of an object may be in one layer and not in the other.
+    # Depth has camera rays of its own: a sliver of an object may be in one layer and not in the other.
     depth = view.channels["depth.Z"][view.channels["virtual.A"] == 1]
     assert 0.3 < depth.min() < depth.max() < 0.6
