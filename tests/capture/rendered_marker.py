@@ -32,8 +32,20 @@ def marker_page(dictionary: str, marker: int, side: float, page: float = 2.0) ->
     cells = entry.markerSize + 2
     size = 16 * cells
     pattern = cv2.aruco.generateImageMarker(entry, marker, size) > 127
+    if dictionary.startswith("DICT_APRILTAG") and tags_are_turned():
+        pattern = pattern[::-1, ::-1]
     border = int(round(0.5 * (page - 1.0) * size))
     return np.pad(pattern, border, constant_values=True).astype(float), side / size
+
+
+def tags_are_turned() -> bool:
+    """Whether OpenCV draws AprilTags upside down, against the print of tag 0 of family 36h11."""
+    entry = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    drawn = cv2.aruco.generateImageMarker(entry, 0, 8) > 127
+    upright = np.array([list(row) for row in ("110101", "011101", "011000", "101000", "010110", "000100")])
+    cells = drawn[1:-1, 1:-1]
+    assert (cells == (upright == "1")).all() or (cells[::-1, ::-1] == (upright == "1")).all()
+    return not (cells == (upright == "1")).all()
 
 
 def board_page(board, square: float, pixels: int = 80) -> tuple[np.ndarray, float]:

@@ -101,5 +101,18 @@ def test_apriltags_on_desks(shared_data):
     assert table.median_rms < 0.5
 
 
+def test_y_points_up_a_tag_that_stands(shared_data):
+    """On these pictures all tags stand upright: OpenCV 5.0.0 alone has y point at the table."""
+    folder = shared_data / "markers" / "apriltag_duckietown"
+    calibration = load_calibration(folder / "test_info.yaml", section="multiple_tags_test")
+    target = TargetSettings.model_validate(
+        {"marker": {"dictionary": "tag36h11", "id": 85, "side": "65 mm"}},
+    )
+    standing = [folder / f"multiple_{n:02d}.jpg" for n in (2, 4, 5, 6)]
+    for pose in solve_poses(_frames(standing), calibration, target).poses().values():
+        down_of_camera = pose[:3, 1]
+        assert down_of_camera[1] < -0.6, "the picture's lower edge is towards the tag's lower edge"
+
+
 def _stills(folder):
     return sorted(folder.glob("multiple_*.jpg"))

@@ -8,8 +8,10 @@ pixel centres at integers: positions move by +1/2 here, once.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -108,20 +110,46 @@ def opencv_board(settings: BoardSettings):
     return board
 
 
+_TAG36H11_FIRST = 0xD5D628584
+"""Cells of tag 0 of AprilTag's family 36h11, upright, row by row, as its authors print it."""
+
+
+@functools.cache
 def _dictionary(name: str):
+    """OpenCV's dictionary, AprilTag families upright as the AprilTag project prints them.
+
+    OpenCV up to 5.0.0 has these families turned by half a circle, later ones as printed.
+    """
     import cv2
 
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    entry = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    if not name.startswith("DICT_APRILTAG") or _tags_upright():
+        return entry
+    turned = [
+        cv2.aruco.Dictionary_getByteListFromBits(np.rot90(_bits(entry, k), 2).copy())  # type: ignore[attr-defined]
+        for k in range(len(entry.bytesList))
+    ]
+    return cv2.aruco.Dictionary(np.concatenate(turned), entry.markerSize, entry.maxCorrectionBits)
+
+
+@functools.cache
+def _tags_upright() -> bool:
+    import cv2
+
+    bits = _bits(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), 0)
+    return int("".join(map(str, bits.ravel())), 2) == _TAG36H11_FIRST
+
+
+def _bits(entry: Any, marker: int) -> np.ndarray:
+    import cv2
+
+    packed = entry.bytesList[marker : marker + 1]
+    return cv2.aruco.Dictionary_getBitsFromByteList(packed, entry.markerSize)  # type: ignore[attr-defined]
 
 
 def marker_bits(dictionary: str, marker: int) -> np.ndarray:
     """(n, n) bool inner cells of a marker, true for white, seen upright."""
-    import cv2
-
-    entry = _dictionary(dictionary)
-    packed = entry.bytesList[marker : marker + 1]
-    bits = cv2.aruco.Dictionary_getBitsFromByteList(packed, entry.markerSize)  # type: ignore[attr-defined]
-    return bits.astype(bool)
+    return _bits(_dictionary(dictionary), marker).astype(bool)
 
 
 def grey_codes(grey: np.ndarray) -> np.ndarray:
