@@ -1,1 +1,1 @@
-"""Part of mrbatch: see docs/."""
+"""What accuracy costs: measurements of seconds, always as paired ratios within one run."""

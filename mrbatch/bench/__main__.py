@@ -1,0 +1,71 @@
+"""`python -m mrbatch.bench rays|threads JOB`: what the machine gets out of one frame of a job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from mrbatch.batch.prepare import Prepared, prepare
+from mrbatch.bench.ray_share import ray_share
+from mrbatch.bench.thread_scaling import thread_scaling
+from mrbatch.device.timing import TimingNode
+from mrbatch.errors import MrbatchError
+from mrbatch.job import load_job
+from mrbatch.metrics.statistics import Interval
+
+
+def _prepared(job: Path, settings: tuple[str, ...]) -> Prepared:
+    try:
+        return prepare(load_job(job, list(settings)), TimingNode("bench"))
+    except MrbatchError as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _text(interval: Interval) -> str:
+    return f"{interval.value:.3f} [{interval.low:.3f}, {interval.high:.3f}] (95 %, {interval.repetitions} pairs)"
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+def main() -> None:
+    """Paired timings of one frame; run them on a machine that does nothing else."""
+
+
+def _subject(command):
+    for option in (
+        click.option("--repeats", default=9, show_default=True, type=click.IntRange(3)),
+        click.option("--frame", type=int, help="Default: the job's first."),
+        click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="As in `mrbatch render`."),
+        click.argument("job", type=click.Path(path_type=Path)),
+    ):
+        command = option(command)
+    return command
+
+
+@main.command()
+@_subject
+def rays(job: Path, settings: tuple[str, ...], frame: int | None, repeats: int) -> None:
+    """Seconds of a bare loop over the pass's own rays, over seconds of the pass."""
+    prepared = _prepared(job, settings)
+    found = ray_share(prepared, prepared.shot.frames[0] if frame is None else frame, repeats=repeats)
+    click.echo(f"rays       {found.rays}")
+    click.echo(f"pass       {sorted(found.pass_seconds)[repeats // 2]:.3f} s on one thread (median)")
+    click.echo(f"bare loop  {sorted(found.loop_seconds)[repeats // 2]:.3f} s")
+    click.echo(f"share      {_text(found.share)}")
+
+
+@main.command()
+@_subject
+@click.option("--threads", default=2, show_default=True, type=click.IntRange(2))
+def threads(job: Path, settings: tuple[str, ...], frame: int | None, repeats: int, threads: int) -> None:
+    """Seconds on one thread over seconds on several."""
+    prepared = _prepared(job, settings)
+    number = prepared.shot.frames[0] if frame is None else frame
+    found = thread_scaling(prepared, number, threads=threads, repeats=repeats)
+    click.echo(f"one thread  {sorted(found.one)[repeats // 2]:.3f} s (median)")
+    click.echo(f"{threads} threads   {sorted(found.many)[repeats // 2]:.3f} s")
+    click.echo(f"speed-up    {_text(found.speedup)}; same pixels: {'yes' if found.same else 'NO'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""One frame of a job, ready to be rendered again and again while the clock runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mrbatch.batch.prepare import Prepared
+from mrbatch.batch.render import ShotRenderer
+from mrbatch.device.timing import TimingNode
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one rendering of the frame took: seconds of its refining passes alone, over all threads, and
+    of the whole frame (reading and developing included)."""
+
+    seconds: float
+    thread_seconds: float
+    frame_seconds: float
+    counters: dict[str, int]
+    composite: np.ndarray
+
+
+class Subject:
+    """Frame `frame` of a prepared job, compiled and warm, on its own renderer.
+
+    `engine` replaces the shot's. Use as a context manager.
+    """
+
+    def __init__(self, prepared: Prepared, frame: int, *, threads: int, engine: str | None = None) -> None:
+        if engine is not None:
+            prepared = replace(prepared, shot=replace(prepared.shot, engine=engine))
+        self.frame = frame
+        self.renderer = ShotRenderer(prepared, TimingNode("bench"), threads=threads)
+
+    def __enter__(self) -> Subject:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.renderer.close()
+
+    @property
+    def scene_data(self) -> Any:
+        return self.renderer.scene.data
+
+    def run(self) -> Run:
+        before = self._refining()
+        frame = self.renderer.render(self.frame, None)
+        after = self._refining()
+        return Run(
+            seconds=after[0] - before[0],
+            thread_seconds=after[1] - before[1],
+            frame_seconds=frame.seconds,
+            counters=dict(frame.counters),
+            composite=next(iter(frame.composites.values())),
+        )
+
+    def _refining(self) -> tuple[float, float]:
+        """Seconds and thread seconds of the refining passes so far."""
+        names = {p.name for source in self.renderer.renderer.sources for p in source.pipeline.refine}
+        spent = self.renderer.timing.child("frames").children
+        nodes = [node for name, node in spent.items() if name in names]
+        return sum(n.seconds for n in nodes), sum(n.thread_seconds for n in nodes)
