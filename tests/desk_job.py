@@ -24,7 +24,8 @@ def desk_job(shared_data: Path, name: str, kind: str, folder: Path) -> Path:
     real, bunny = given["real"], given["virtual"]["bunny"]
     folder.mkdir(parents=True, exist_ok=True)
     picture = folder / f"{name}_paper.tif"
-    Image.fromarray((paper_texture(given["marker"]["id"])[..., 0] * 65535 + 0.5).astype(np.uint16)).save(picture)
+    codes = paper_texture(given["marker"]["id"])[..., 0] * 65535 + 0.5
+    Image.fromarray(codes.astype(np.uint16)).save(picture)
     metal = bunny["metal"]
     material = (
         {"type": "diffuse", "reflectance": list(bunny["diffuse"])}

@@ -23,7 +23,8 @@ def _prepared(job: Path, settings: tuple[str, ...]) -> Prepared:
 
 
 def _text(interval: Interval) -> str:
-    return f"{interval.value:.3f} [{interval.low:.3f}, {interval.high:.3f}] (95 %, {interval.repetitions} pairs)"
+    span = f"[{interval.low:.3f}, {interval.high:.3f}]"
+    return f"{interval.value:.3f} {span} (95 %, {interval.repetitions} pairs)"
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})

@@ -95,7 +95,7 @@ def _make_kernel(
     camera_ray, camera_project = camera.ray, camera.project
     sample_2d = make_sampler("owen").sample_2d
     offset = make_pixel_filter(pixel_filter)  # type: ignore[arg-type]
-    surface_at = make_surface(shading, camera)
+    surface_at = make_surface(shading, camera).surface
 
     @wp.kernel(enable_backward=False, module="unique")
     def first_hit(

@@ -28,7 +28,8 @@ _NEWTON_STEPS = wp.constant(20)
 class CameraData:
     """A camera as kernels take it.
 
-    `fx fy cx cy skew` in pixels (x = fx X + skew Y + cx), pixel centres at half integers. `k1`..`k6`,
+    `fx fy cx cy skew` in pixels (x = fx X + skew Y + cx), pixel centres at half integers; `per_fx`, `per_fy`
+    their reciprocals, for a division would be half of what a camera ray costs. `k1`..`k6`,
     `p1 p2`: OpenCV's coefficients. `radius2`: squared radius (tangent plane, undistorted) up to which
     the radial model grows and can be inverted. `rotation`: world_from_camera. `origin`: the camera's
     position relative to the scene's origin. `model`: PERSPECTIVE or EQUIRECTANGULAR.
@@ -39,6 +40,8 @@ class CameraData:
     cx: wp.float32
     cy: wp.float32
     skew: wp.float32
+    per_fx: wp.float32
+    per_fy: wp.float32
     k1: wp.float32
     k2: wp.float32
     k3: wp.float32
@@ -125,6 +128,7 @@ def camera_data(camera: Any, origin: np.ndarray) -> CameraData:
     if not (np.all(np.isfinite(k)) and k[0, 0] > 0.0 and k[1, 1] > 0.0):
         raise ValueError(f"focal lengths {k[0, 0]} and {k[1, 1]}: must be positive and finite")
     data.fx, data.fy, data.cx, data.cy, data.skew = k[0, 0], k[1, 1], k[0, 2], k[1, 2], k[0, 1]
+    data.per_fx, data.per_fy = 1.0 / k[0, 0], 1.0 / k[1, 1]
     d = np.asarray(camera.distortion, dtype=np.float64)
     data.k1, data.k2, data.p1, data.p2, data.k3, data.k4, data.k5, data.k6 = (float(c) for c in d)
     data.radius2 = min(radial_limit(d), _UNLIMITED)
@@ -240,8 +244,8 @@ def _make_perspective(distortion: bool) -> CameraFuncs:
     def ray(cam: CameraData, x: float, y: float) -> CameraRay:
         result = CameraRay()
         result.origin = cam.origin
-        py = (y - cam.cy) / cam.fy
-        px = (x - cam.cx - cam.skew * py) / cam.fx
+        py = (y - cam.cy) * cam.per_fy
+        px = (x - cam.cx - cam.skew * py) * cam.per_fx
         p = wp.vec3(px, py, 1.0)
         result.ok = wp.bool(True)
         if wp.static(distortion):

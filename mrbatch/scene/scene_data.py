@@ -63,15 +63,16 @@ class SceneData:
 class SurfacePoint:
     """A point on a surface, with normals that face the side it was seen from.
 
-    `ng` geometric, `ns` shading normal; `uv` texture coordinates; `object` number. `reach`: the
-    length that the float error of `p` along `ng` is relative to.
+    `ng` geometric, `ns` shading normal; `object` number; `triangle` and the weights `b` of its second and
+    third corner. `reach`: the length that the float error of `p` along `ng` is relative to.
     """
 
     p: wp.vec3
     ng: wp.vec3
     ns: wp.vec3
-    uv: wp.vec2
     object: wp.int32
+    triangle: wp.int32
+    b: wp.vec2
     reach: wp.float32
 
 
@@ -88,6 +89,8 @@ def surface_point(scene: SceneData, triangle: wp.int32, u: float, v: float, d: w
     e2 = scene.vertices[c[2]] - a
     point = SurfacePoint()
     point.object = scene.triangle_object[triangle]
+    point.triangle = triangle
+    point.b = wp.vec2(u, v)
     point.p = a + e1 * u + e2 * v
     point.ng = scene.facets[triangle]
     point.ns = point.ng
@@ -103,8 +106,6 @@ def surface_point(scene: SceneData, triangle: wp.int32, u: float, v: float, d: w
         length = wp.length(n)
         if length > 0.0:
             point.ns = n / length
-    if scene.objects[point.object].texture >= 0:
-        point.uv = scene.uvs[c[0]] * (1.0 - u - v) + scene.uvs[c[1]] * u + scene.uvs[c[2]] * v
     # The shading normal decides nothing about sides: it follows the geometric one.
     if wp.dot(point.ns, point.ng) < 0.0:
         point.ns = -point.ns
@@ -112,6 +113,15 @@ def surface_point(scene: SceneData, triangle: wp.int32, u: float, v: float, d: w
         point.ng = -point.ng
         point.ns = -point.ns
     return point
+
+
+@wp.func
+def texture_coordinates(scene: SceneData, point: SurfacePoint) -> wp.vec2:
+    """UV of a surface point."""
+    c = scene.corners[point.triangle]
+    u = point.b[0]
+    v = point.b[1]
+    return scene.uvs[c[0]] * (1.0 - u - v) + scene.uvs[c[1]] * u + scene.uvs[c[2]] * v
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import warp as wp
 from mrbatch.kernels.bsdf import Surface
 from mrbatch.kernels.camera import CameraData, CameraFuncs
 from mrbatch.kernels.texture import sample_texture
-from mrbatch.scene.scene_data import PHOTO, SceneData, SurfacePoint
+from mrbatch.scene.scene_data import PHOTO, SceneData, SurfacePoint, texture_coordinates
 
 
 @wp.struct
@@ -39,8 +39,22 @@ class ShadingFlags:
     photo: bool = False
 
 
-def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> Any:
-    """`wp.func (scene, photo, point) -> Surface`: the scattering properties at a point."""
+@dataclass(frozen=True)
+class SurfaceFuncs:
+    """Three `wp.func`s of (scene, photo, point).
+
+    `surface` -> Surface: all scattering properties. `bare` -> Surface: the same with reflectance 1, and
+    `reflectance` -> vec3, for a caller who finds out first whether it is needed: textures are large, and
+    a look-up costs as much as a short ray.
+    """
+
+    surface: Any
+    bare: Any
+    reflectance: Any
+
+
+def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> SurfaceFuncs:
+    """The functions that tell what is at a surface point."""
 
     @wp.func
     def from_photo(photo: PhotoReflectance, point: SurfacePoint) -> wp.vec3:
@@ -55,18 +69,29 @@ def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> Any:
         return value
 
     @wp.func
-    def surface_at(scene: SceneData, photo: PhotoReflectance, point: SurfacePoint) -> Surface:
-        item = scene.objects[point.object]
-        surface = Surface()
-        surface.kind = item.kind
-        surface.reflectance = item.reflectance
-        surface.alpha = item.alpha
+    def reflectance_at(scene: SceneData, photo: PhotoReflectance, point: SurfacePoint) -> wp.vec3:
+        value = scene.objects[point.object].reflectance
         if wp.static(flags.textures):
-            if item.texture >= 0:
-                surface.reflectance = sample_texture(scene.textures, item.texture, point.uv)
+            texture = scene.objects[point.object].texture
+            if texture >= 0:
+                value = sample_texture(scene.textures, texture, texture_coordinates(scene, point))
         if wp.static(flags.photo):
-            if (item.flags & PHOTO) != 0:
-                surface.reflectance = from_photo(photo, point)
+            if (scene.objects[point.object].flags & PHOTO) != 0:
+                value = from_photo(photo, point)
+        return value
+
+    @wp.func
+    def bare_at(scene: SceneData, photo: PhotoReflectance, point: SurfacePoint) -> Surface:
+        surface = Surface()
+        surface.kind = scene.objects[point.object].kind
+        surface.alpha = scene.objects[point.object].alpha
+        surface.reflectance = wp.vec3(1.0, 1.0, 1.0)
         return surface
 
-    return surface_at
+    @wp.func
+    def surface_at(scene: SceneData, photo: PhotoReflectance, point: SurfacePoint) -> Surface:
+        surface = bare_at(scene, photo, point)
+        surface.reflectance = reflectance_at(scene, photo, point)
+        return surface
+
+    return SurfaceFuncs(surface_at, bare_at, reflectance_at)

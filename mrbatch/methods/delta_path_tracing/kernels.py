@@ -128,7 +128,8 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_1d, sample_2d, sample_2d_precise = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_precise
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
-    surface_at = make_surface(flags.shading, camera)
+    funcs = make_surface(flags.shading, camera)
+    surface_at, bare_at, reflectance_at = funcs.surface, funcs.bare, funcs.reflectance
     sample_light = flags.strategy in ("mis", "environment")
     weigh = flags.strategy == "mis"
 
@@ -267,6 +268,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             blocked = wp.vec3(0.0, 0.0, 0.0)
             indirect = wp.vec3(0.0, 0.0, 0.0)
             covered = float(0.0)
+            changes = bool(False)
             first_set = scene.camera_set
             if wp.static(not flags.virtual_seen):
                 first_set = scene.photo_set
@@ -290,6 +292,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                 edges = int(1)
                 if is_virtual and not skip:
                     covered = 1.0
+                    changes = bool(True)
                     legs = 1
                 if wp.static(flags.light_change):
                     if not is_virtual and not skip:
@@ -298,7 +301,8 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                         while edges < settings.max_edges:
                             vertices += 1
                             dimension = DIM_VERTEX * edges
-                            surface = surface_at(scene, frame.photo, point)
+                            # Real surfaces are diffuse, so reflectance is a factor: read where it counts.
+                            surface = bare_at(scene, frame.photo, point)
                             basis = orthonormal_basis(point.ns)
                             wo = to_local(basis, -d)
                             if wp.static(sample_light):
@@ -318,7 +322,9 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                                 lost = not occluded(scene.real_set, o, light.direction, FAR)
                                         if lost:
                                             lookups += 1
+                                            changes = bool(True)
                                             w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
+                                            f = wp.cw_mul(f, reflectance_at(scene, frame.photo, point))
                                             blocked -= (
                                                 wp.cw_mul(
                                                     wp.cw_mul(throughput, f),
@@ -332,7 +338,6 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             d = to_world(basis, drawn.wi)
                             if wp.dot(point.ng, d) <= 0.0:
                                 break
-                            throughput = wp.cw_mul(throughput, drawn.weight)
                             o = offset_origin(point.p, point.ng, d, point.reach)
                             scatter_rays += 1
                             behind_triangle = wp.int32(-1)
@@ -356,8 +361,16 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                     behind_v = behind.v
                             else:
                                 forks = seen.triangle >= 0
+                            if seen.triangle < 0:
+                                break
+                            throughput = wp.cw_mul(
+                                wp.cw_mul(throughput, drawn.weight), reflectance_at(scene, frame.photo, point)
+                            )
+                            if max_component(throughput) <= 0.0:
+                                break
                             if forks:
                                 edges += 1
+                                changes = bool(True)
                                 fork_throughput = throughput
                                 if behind_triangle < 0:
                                     w = scatter_weight(drawn.pdf, env_pdf(scene.environment, d))
@@ -376,8 +389,6 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                         legs = 2
                                         # Nothing comes from a virtual point that returns no light.
                                         first_leg = wp.where(wp.static(flags.virtual_paths), 0, 1)
-                                break
-                            if behind_triangle < 0:
                                 break
                             if wp.static(flags.real_on_real):
                                 point = surface_point(scene, behind_triangle, behind_u, behind_v, d)
@@ -409,15 +420,17 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                         indirect += gathered
                     else:
                         indirect -= gathered
-            value = wp.cw_mul(value, frame.gain)
-            blocked = wp.cw_mul(blocked, frame.gain)
-            indirect = wp.cw_mul(indirect, frame.gain)
-            delta = blocked + indirect
-            total = film_add(total, value, covered, delta, background)
-            if wp.static(flags.split):
-                for c in range(3):
-                    film.sums[half, pixel.index, 7 + c] += wp.float64(blocked[c])
-                    film.sums[half, pixel.index, 10 + c] += wp.float64(indirect[c])
+            # Most samples change nothing, and adding zero is work too.
+            if changes:
+                value = wp.cw_mul(value, frame.gain)
+                blocked = wp.cw_mul(blocked, frame.gain)
+                indirect = wp.cw_mul(indirect, frame.gain)
+                delta = blocked + indirect
+                total = film_add(total, value, covered, delta, background)
+                if wp.static(flags.split):
+                    for c in range(3):
+                        film.sums[half, pixel.index, 7 + c] += wp.float64(blocked[c])
+                        film.sums[half, pixel.index, 10 + c] += wp.float64(indirect[c])
         film_store(film, half, pixel.index, total, samples)
         wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples))
         wp.atomic_add(counters, SHADOW_RAYS, wp.int64(shadow_rays))

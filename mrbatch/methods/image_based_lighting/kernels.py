@@ -67,7 +67,7 @@ def make_kernel(flags: Flags) -> Any:
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_2d, sample_2d_precise = sampler.sample_2d, sampler.sample_2d_precise
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
-    surface_at = make_surface(flags.shading, camera)
+    surface_at = make_surface(flags.shading, camera).surface
     sample_light = flags.strategy in ("mis", "environment")
     sample_scatter = flags.strategy in ("mis", "bsdf")
     weigh = flags.strategy == "mis"
