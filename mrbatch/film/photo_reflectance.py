@@ -89,7 +89,7 @@ def _make_kernels(
     environment = make_environment(interpolation, light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler("owen")
-    sample_2d, sample_2d_precise = sampler.sample_2d, sampler.sample_2d_precise
+    sample_2d, sample_2d_bits = sampler.sample_2d, sampler.sample_2d_bits
 
     @wp.kernel(enable_backward=False, module="unique")
     def identify(
@@ -151,7 +151,7 @@ def _make_kernels(
             basis = first_basis
             for bounce in range(int(BOUNCES)):
                 dimension = DIMENSION + 2 * bounce
-                light = env_sample(scene.environment, sample_2d_precise(key, n, dimension))
+                light = env_sample(scene.environment, sample_2d_bits(key, n, dimension))
                 cosine = wp.dot(here.ns, light.direction)
                 if light.pdf > 0.0 and cosine > 0.0 and wp.dot(here.ng, light.direction) > 0.0:
                     o = offset_origin(here.p, here.ng, light.direction, here.reach)

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import warp as wp
 
 from mrbatch.kernels.numerics import arctangent2, sine_cosine_turns
+from mrbatch.kernels.rng import uint_to_double, uint_to_float
 
 _INV_PI = wp.constant(wp.float32(0.3183098861837907))
 _INV_TWO_PI = wp.constant(wp.float32(0.15915494309189535))
@@ -135,8 +136,9 @@ def env_pdf(env: EnvironmentData, d: wp.vec3) -> float:
 
 
 @wp.func
-def env_sample(env: EnvironmentData, u: wp.vec2d) -> EnvironmentSample:
-    """A direction drawn in proportion to the map's cells; `u` in [0, 1)^2, all its bits are used."""
+def env_sample(env: EnvironmentData, bits: wp.vec2ui) -> EnvironmentSample:
+    """A direction drawn in proportion to the map's cells; `bits`: two 32-bit fractions."""
+    u = wp.vec2d(uint_to_double(bits[0]), uint_to_double(bits[1]))
     row = find_interval(env.row_cdf, 0, env.row_guide, 0, env.row_bins, u[0])
     below = env.row_cdf[row]
     row_width = env.row_cdf[row + 1] - below
@@ -167,16 +169,14 @@ def env_sample(env: EnvironmentData, u: wp.vec2d) -> EnvironmentSample:
 
 
 @wp.func
-def median_cut_sample(env: EnvironmentData, u: wp.vec2d) -> EnvironmentSample:
-    """A direction from leaves of equal probability; `u` in [0, 1)^2. No search, one cache line."""
-    count = 1 << env.leaf_bits
-    row = u[0] * wp.float64(count)
-    column = u[1] * wp.float64(count)
-    i = wp.min(int(row), count - 1)
-    j = wp.min(int(column), count - 1)
-    leaf = env.leaves[i * count + j]
-    z = leaf[0] - float(row - wp.float64(i)) * leaf[1]
-    azimuth = sine_cosine_turns(0.5 - (leaf[2] + float(column - wp.float64(j)) * leaf[3]))
+def median_cut_sample(env: EnvironmentData, bits: wp.vec2ui) -> EnvironmentSample:
+    """A direction from leaves of equal probability, without a search; `bits`: two 32-bit fractions."""
+    # The leading bits name the leaf, those that follow the place in it.
+    lead = wp.uint32(env.leaf_bits)
+    rest = wp.uint32(32) - lead
+    leaf = env.leaves[wp.int32(((bits[0] >> rest) << lead) | (bits[1] >> rest))]
+    z = leaf[0] - uint_to_float(bits[0] << lead) * leaf[1]
+    azimuth = sine_cosine_turns(0.5 - (leaf[2] + uint_to_float(bits[1] << lead) * leaf[3]))
     sine = wp.sqrt(wp.max((1.0 - z) * (1.0 + z), 0.0))
     result = EnvironmentSample()
     result.direction = wp.transpose(env.map_from_world) @ wp.vec3(sine * azimuth[1], sine * azimuth[0], z)
@@ -215,7 +215,8 @@ def median_cut_pdf(env: EnvironmentData, d: wp.vec3) -> float:
 
 @dataclass(frozen=True)
 class EnvironmentFunctions:
-    """`radiance(env, d) -> vec3`, `pdf(env, d) -> float`, `sample(env, u: vec2d) -> EnvironmentSample`."""
+    """`radiance(env, d) -> vec3`, `pdf(env, d) -> float`, `sample(env, bits: vec2ui) ->
+    EnvironmentSample`."""
 
     interpolation: str
     radiance: Any

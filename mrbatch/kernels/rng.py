@@ -155,11 +155,11 @@ def owen_2d(key: wp.uint64, index: int, dimension: int) -> wp.vec2:
 
 
 @wp.func
-def owen_2d_precise(key: wp.uint64, index: int, dimension: int) -> wp.vec2d:
-    """The same pair with all its 32 bits, in (0, 1)^2."""
+def owen_2d_bits(key: wp.uint64, index: int, dimension: int) -> wp.vec2ui:
+    """The same pair with all its 32 bits."""
     h = _dimension_hash(key, dimension)
     permuted = _owen_index(index, h)
-    return wp.vec2d(uint_to_double(_owen_x(permuted, h)), uint_to_double(_owen_y(permuted, h)))
+    return wp.vec2ui(_owen_x(permuted, h), _owen_y(permuted, h))
 
 
 @wp.func
@@ -182,30 +182,30 @@ def independent_2d(key: wp.uint64, index: int, dimension: int) -> wp.vec2:
 
 
 @wp.func
-def independent_2d_precise(key: wp.uint64, index: int, dimension: int) -> wp.vec2d:
-    """The same pair with all its 32 bits, in (0, 1)^2."""
+def independent_2d_bits(key: wp.uint64, index: int, dimension: int) -> wp.vec2ui:
+    """The same pair with all its 32 bits."""
     bits = _independent_bits(key, index, dimension)
-    return wp.vec2d(uint_to_double(_high(bits)), uint_to_double(_low(bits)))
+    return wp.vec2ui(_high(bits), _low(bits))
 
 
 @dataclass(frozen=True)
 class Sampler:
     """Three `wp.func`s of (key: uint64, index: int, dimension: int).
 
-    `sample_1d` gives a float, `sample_2d` a vec2, both in [0, 1 - 2^-24]; `sample_2d_precise` a
-    vec2d in (0, 1). Any `dimension` number may be used (0 to 2^32 - 1 as unsigned); calls with the
-    same one are the same numbers, a 1-D call being the first of the pair.
+    `sample_1d` gives a float, `sample_2d` a vec2, both in [0, 1 - 2^-24]; `sample_2d_bits` a
+    vec2ui whose words are 32-bit fractions. Any `dimension` number may be used (0 to 2^32 - 1 as
+    unsigned); calls with the same one are the same numbers, a 1-D call being the first of the pair.
     """
 
     kind: str
     sample_1d: Any
     sample_2d: Any
-    sample_2d_precise: Any
+    sample_2d_bits: Any
 
 
 _SAMPLERS = {
-    "owen": Sampler("owen", owen_1d, owen_2d, owen_2d_precise),
-    "independent": Sampler("independent", independent_1d, independent_2d, independent_2d_precise),
+    "owen": Sampler("owen", owen_1d, owen_2d, owen_2d_bits),
+    "independent": Sampler("independent", independent_1d, independent_2d, independent_2d_bits),
 }
 
 

@@ -33,13 +33,13 @@ def make_kernels(interpolation, sampler):
     @wp.kernel(enable_backward=False, module="unique")
     def draw(
         env: EnvironmentData,
-        u: wp.array(dtype=wp.vec2d),
+        bits: wp.array(dtype=wp.vec2ui),
         d: wp.array(dtype=wp.vec3),
         light: wp.array(dtype=wp.vec3),
         density: wp.array(dtype=float),
     ):
         i = wp.tid()
-        s = sample(env, u[i])
+        s = sample(env, bits[i])
         d[i] = s.direction
         light[i] = radiance(env, s.direction)
         density[i] = s.pdf
@@ -64,7 +64,8 @@ def draw(environment, u):
     if isinstance(u, int):
         bits = np.random.default_rng(99).integers(0, 2**32, size=(u, 2))
         u = (bits + 0.5) * 2.0**-32
-    u = wp.array(np.ascontiguousarray(u, dtype=np.float64), dtype=wp.vec2d, device="cpu")
+    bits = np.floor(np.ascontiguousarray(u, dtype=np.float64) * 2.0**32).astype(np.uint32)
+    u = wp.array(bits, dtype=wp.vec2ui, device="cpu")
     d = wp.zeros(len(u), dtype=wp.vec3, device="cpu")
     light, density = wp.zeros_like(d), wp.zeros(len(u), dtype=float, device="cpu")
     kernel = KERNELS[environment.interpolation][1]
@@ -416,7 +417,8 @@ def test_inversion_equals_a_search():
     bins = t.column_guide.shape[1] - 1
     u[:1000] = random.integers(0, bins, (1000, 2)) / bins
     u[1000:2000, 0] = t.row_cdf[random.integers(0, t.row_cdf.size - 1, 1000)]
-    u = np.minimum(u, 1.0 - 2.0**-53)
+    # Fractions of 32 bits stand for the middle of their interval.
+    u = (np.floor(np.minimum(u, 1.0 - 2.0**-53) * 2.0**32) + 0.5) * 2.0**-32
     row = np.searchsorted(t.row_cdf, u[:, 0], side="right") - 1
     expected = np.empty(len(u))
     for r in np.unique(row):

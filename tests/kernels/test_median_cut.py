@@ -18,14 +18,14 @@ env_radiance, env_pdf, env_sample = FUNCTIONS.radiance, FUNCTIONS.pdf, FUNCTIONS
 @wp.kernel(enable_backward=False, module="unique")
 def draw_kernel(
     env: EnvironmentData,
-    u: wp.array(dtype=wp.vec2d),
+    bits: wp.array(dtype=wp.vec2ui),
     d: wp.array(dtype=wp.vec3),
     light: wp.array(dtype=wp.vec3),
     density: wp.array(dtype=float),
     again: wp.array(dtype=float),
 ):
     i = wp.tid()
-    s = env_sample(env, u[i])
+    s = env_sample(env, bits[i])
     d[i] = s.direction
     light[i] = env_radiance(env, s.direction)
     density[i] = s.pdf
@@ -34,10 +34,10 @@ def draw_kernel(
 
 def draw(environment, count, seed=99):
     bits = np.random.default_rng(seed).integers(0, 2**32, size=(count, 2))
-    u = wp.array((bits + 0.5) * 2.0**-32, dtype=wp.vec2d, device="cpu")
+    bits = wp.array(bits.astype(np.uint32), dtype=wp.vec2ui, device="cpu")
     d, light = (wp.zeros(count, dtype=wp.vec3, device="cpu") for _ in range(2))
     density, again = (wp.zeros(count, dtype=float, device="cpu") for _ in range(2))
-    inputs = [environment.upload(), u, d, light, density, again]
+    inputs = [environment.upload(), bits, d, light, density, again]
     wp.launch(draw_kernel, count, inputs, device="cpu")
     return d.numpy().astype(np.float64), light.numpy(), density.numpy(), again.numpy()
 

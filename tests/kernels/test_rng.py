@@ -14,7 +14,7 @@ LAST = 1.0 - 2.0**-24
 
 
 def make_kernels(sampler: rng.Sampler):
-    one, two, precise = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_precise
+    one, two, bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
 
     @wp.kernel(enable_backward=False, module="unique")
     def draw(
@@ -23,12 +23,12 @@ def make_kernels(sampler: rng.Sampler):
         dimension: wp.array(dtype=int),
         a: wp.array(dtype=float),
         b: wp.array(dtype=wp.vec2),
-        c: wp.array(dtype=wp.vec2d),
+        c: wp.array(dtype=wp.vec2ui),
     ):
         i = wp.tid()
         a[i] = one(key[i], index[i], dimension[i])
         b[i] = two(key[i], index[i], dimension[i])
-        c[i] = precise(key[i], index[i], dimension[i])
+        c[i] = bits(key[i], index[i], dimension[i])
 
     return draw
 
@@ -52,19 +52,20 @@ def _convert(x: wp.array(dtype=wp.uint32), a: wp.array(dtype=float), b: wp.array
 
 
 def draw(kind, key, index, dimension):
-    """(n,) float, (n, 2) float, (n, 2) float64 of broadcast key, index and dimension."""
+    """(n,) float, (n, 2) float, (n, 2) float64 with all 32 bits, of broadcast key, index and dimension."""
     key, index, dimension = np.broadcast_arrays(key, index, dimension)
     shape, count = key.shape, key.size
     a = wp.zeros(count, dtype=float, device="cpu")
     b = wp.zeros(count, dtype=wp.vec2, device="cpu")
-    c = wp.zeros(count, dtype=wp.vec2d, device="cpu")
+    c = wp.zeros(count, dtype=wp.vec2ui, device="cpu")
     inputs = [
         wp.array(np.ascontiguousarray(key.ravel(), dtype=np.uint64), device="cpu"),
         wp.array(np.ascontiguousarray(index.ravel(), dtype=np.int32), device="cpu"),
         wp.array(np.ascontiguousarray(dimension.ravel(), dtype=np.int32), device="cpu"),
     ]
     wp.launch(KERNELS[kind], count, inputs=inputs, outputs=[a, b, c], device="cpu")
-    return a.numpy().reshape(shape), b.numpy().reshape(*shape, 2), c.numpy().reshape(*shape, 2)
+    precise = (c.numpy().astype(np.float64) + 0.5) * 2.0**-32
+    return a.numpy().reshape(shape), b.numpy().reshape(*shape, 2), precise.reshape(*shape, 2)
 
 
 def keys(words):

@@ -126,7 +126,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_1d, sample_2d, sample_2d_precise = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_precise
+    sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     funcs = make_surface(flags.shading, camera)
     surface_at, bare_at, reflectance_at = funcs.surface, funcs.bare, funcs.reflectance
@@ -192,7 +192,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             basis = orthonormal_basis(point.ns)
             wo = to_local(basis, -d)
             if wp.static(sample_light):
-                light = env_sample(scene.environment, sample_2d_precise(key, index, dimension + DIM_LIGHT))
+                light = env_sample(scene.environment, sample_2d_bits(key, index, dimension + DIM_LIGHT))
                 if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                     wi = to_local(basis, light.direction)
                     value = bsdf_evaluate(surface, wo, wi)
@@ -307,7 +307,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             wo = to_local(basis, -d)
                             if wp.static(sample_light):
                                 light = env_sample(
-                                    scene.environment, sample_2d_precise(key, index, dimension + DIM_LIGHT)
+                                    scene.environment, sample_2d_bits(key, index, dimension + DIM_LIGHT)
                                 )
                                 if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                                     wi = to_local(basis, light.direction)

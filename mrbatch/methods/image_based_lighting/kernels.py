@@ -65,7 +65,7 @@ def make_kernel(flags: Flags) -> Any:
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_2d, sample_2d_precise = sampler.sample_2d, sampler.sample_2d_precise
+    sample_2d, sample_2d_bits = sampler.sample_2d, sampler.sample_2d_bits
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surface_at = make_surface(flags.shading, camera).surface
     sample_light = flags.strategy in ("mis", "environment")
@@ -113,7 +113,7 @@ def make_kernel(flags: Flags) -> Any:
                     basis = orthonormal_basis(point.ns)
                     wo = to_local(basis, -primary.direction)
                     if wp.static(sample_light):
-                        light = env_sample(scene.environment, sample_2d_precise(key, index, DIM_LIGHT))
+                        light = env_sample(scene.environment, sample_2d_bits(key, index, DIM_LIGHT))
                         if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                             wi = to_local(basis, light.direction)
                             f = bsdf_evaluate(surface, wo, wi)
