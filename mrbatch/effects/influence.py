@@ -1,20 +1,7 @@
 """Where in the picture virtual objects can change anything: a mask of decision tiles for each frame.
 
-A tile is done where a virtual object may be seen, or where a real surface is seen whose light a
-virtual object may change by half a code value or more. From the tile's part of the surface the object
-lies in some cone of directions, and fills a solid angle Omega of it at most, no higher than cos:
-
-    |Delta| <= gain rho / pi cos (light taken away + light sent)
-            <= gain rho / pi cos (least of the light in the cone and Omega times its largest radiance
-                                  + Omega times the largest radiance that surfaces can send, twice).
-
-What changes on one real surface also changes what it sends to others: they change by no more than
-rho times the share G of their hemisphere that real surfaces fill, times the largest change anywhere,
-
-    |Delta| <= direct + rho G sup direct / (1 - largest rho of a real surface).
-
-No ray is traced for it. Where any surface is not diffuse, light can be focused and nothing bounds it:
-a tile is then done wherever the object, or a real surface that the object may change, is on its side.
+A tile is done where a virtual object may be seen, or where a real surface is seen whose light a virtual
+object may change by half a code value or more (`light_bounds`). No ray is traced for it.
 """
 
 from __future__ import annotations
@@ -24,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrbatch.effects.facts import FrameFacts, ShotFacts
+from mrbatch.effects.light_bounds import Body, Box, Boxes, LightBounds, Side
 from mrbatch.film.window import Window
 from mrbatch.scene.camera import Camera
-from mrbatch.scene.mesh import Mesh
-from mrbatch.scene.scene import Scene, SceneObject
 
 MARGIN = 3.0
 """Pixels added around a tile: reconstruction filter, and the bend of a distorted edge within a tile."""
@@ -45,161 +31,7 @@ class Influence:
     why: str
 
 
-@dataclass(frozen=True)
-class _Bounds:
-    low: np.ndarray
-    high: np.ndarray
-
-    @property
-    def corners(self) -> np.ndarray:
-        grid = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(-1, 3)
-        return self.low + grid * (self.high - self.low)
-
-    @property
-    def centre(self) -> np.ndarray:
-        return (self.low + self.high) / 2
-
-    @property
-    def radius(self) -> float:
-        return float(np.linalg.norm(self.high - self.low)) / 2
-
-
-@dataclass(frozen=True)
-class _Boxes:
-    """Boxes (n, 3) that hold parts of a surface."""
-
-    low: np.ndarray
-    high: np.ndarray
-
-    def cones(self, bounds: _Bounds) -> tuple[np.ndarray, np.ndarray]:
-        """Cones that hold every direction from a point of each box to a point of `bounds`: axes (n, 3),
-        cosines of the half angle (n,)."""
-        axis = bounds.centre - (self.low + self.high) / 2
-        distance = np.linalg.norm(axis, axis=1)
-        # From any point of one ball to any point of another.
-        radius = np.linalg.norm(self.high - self.low, axis=1) / 2 + bounds.radius
-        apart = distance > radius
-        with np.errstate(invalid="ignore", divide="ignore"):
-            cosine = np.where(apart, np.sqrt(np.maximum(1 - (radius / distance) ** 2, 0.0)), -1.0)
-            unit = np.where(distance[:, None] > 0, axis / distance[:, None], [0.0, 0.0, 1.0])
-        return unit, cosine
-
-    def reach(self, bounds: _Bounds, height: float) -> tuple[np.ndarray, np.ndarray]:
-        """Seen from any one point of each box: the most solid angle (n,) that `bounds` fills, and the
-        largest cosine (n,) of a direction there, where it reaches `height` above the box's plane."""
-        centre = np.maximum(np.maximum(bounds.centre - self.high, self.low - bounds.centre), 0.0)
-        distance = np.linalg.norm(centre, axis=1)
-        gap = np.linalg.norm(
-            np.maximum(np.maximum(bounds.low - self.high, self.low - bounds.high), 0.0), axis=1
-        )
-        with np.errstate(invalid="ignore", divide="ignore"):
-            sine = np.where(distance > bounds.radius, bounds.radius / distance, 1.0)
-            cosine = np.where(gap > 0.0, np.minimum(height / gap, 1.0), 1.0)
-        # 1 - cos in a form that keeps its digits for small angles.
-        omega = 2 * np.pi * sine**2 / (1 + np.sqrt(1 - sine**2))
-        return np.where(distance > bounds.radius, omega, 4 * np.pi), cosine
-
-
-class _LightBounds:
-    """Bounds of the light change on real surfaces of a scene. `unbounded`: any change at all counts."""
-
-    def __init__(self, scene: Scene, *, unbounded: bool) -> None:
-        self.light = scene.environment
-        self.fluence = scene.environment.fluence()
-        self.senders = [o for o in scene.virtual if o.cast_shadow]
-        self.real = [o for o in scene.real if o.cast_shadow]
-        casting = self.senders + self.real
-        albedo = max((float(_albedo(o).max()) for o in casting), default=0.0)
-        diffuse = all(o.material.kind == "diffuse" for o in casting)
-        # Radiance of a diffuse surface: albedo / pi times its irradiance, which is at most the light from
-        # all directions and what other surfaces return of it, a geometric series.
-        self.largest = albedo / np.pi * self.fluence / (1 - albedo) if diffuse and albedo < 1 else None
-        self.bounded = self.largest is not None and not unbounded
-        self.anywhere = np.zeros(3)
-        most = max((float(_albedo(o).max()) for o in self.real), default=0.0)
-        for o in self.real if self.senders else ():
-            if o.receive:
-                box = _bounds(o.mesh)
-                whole = _Boxes(box.low[None], box.high[None])
-                self.anywhere = np.maximum(self.anywhere, self._direct(o, whole, None)[0])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            self.anywhere = np.where(self.anywhere > 0.0, self.anywhere / (1 - most), 0.0)
-
-    def change(
-        self, surface: SceneObject, boxes: _Boxes, side: tuple[np.ndarray, float] | None
-    ) -> np.ndarray:
-        """(n, 3): no less than |Delta| on the part of `surface` in each box.
-
-        `side`: normal and offset of its plane, the normal towards the side that is seen, or None where it
-        is not flat.
-        """
-        return self._direct(surface, boxes, side) + self._indirect(surface, boxes, side)
-
-    def _direct(
-        self, surface: SceneObject, boxes: _Boxes, side: tuple[np.ndarray, float] | None
-    ) -> np.ndarray:
-        total = np.zeros((len(boxes.low), 3))
-        for item in self.senders:
-            box = _bounds(item.mesh)
-            if side is not None and _height(box, side) <= 0.0:
-                continue
-            if not self.bounded or surface.material.kind != "diffuse":
-                return np.where(_albedo(surface) > 0.0, np.full_like(total, np.inf), 0.0)
-            height = np.inf if side is None else _height(box, side)
-            omega, slope = boxes.reach(box, height)
-            # Taken away: the map's light or what real surfaces behind send. Added: what the object sends.
-            taken = self.light.bound_in_cones(*boxes.cones(box), omega)
-            total += slope[:, None] * (taken + omega[:, None] * 2 * self.largest)
-        return _albedo(surface) / np.pi * total
-
-    def _indirect(
-        self, surface: SceneObject, boxes: _Boxes, side: tuple[np.ndarray, float] | None
-    ) -> np.ndarray:
-        share = np.zeros(len(boxes.low))
-        for other in self.real:
-            box = _bounds(other.mesh)
-            height = np.inf
-            if side is not None:
-                height = _height(box, side)
-                if height <= 4 * np.spacing(np.float32(max(np.abs(box.low).max(), np.abs(box.high).max()))):
-                    continue
-            omega, slope = boxes.reach(box, height)
-            share += np.minimum(slope * omega / np.pi, 1.0)
-        factor = np.minimum(share, 1.0)[:, None] * _albedo(surface)
-        if surface.material.kind != "diffuse":
-            factor = np.where(factor > 0.0, np.inf, 0.0)
-        with np.errstate(invalid="ignore"):
-            return np.where((factor > 0.0) & (self.anywhere > 0.0), factor * self.anywhere, 0.0)
-
-
-def _height(bounds: _Bounds, side: tuple[np.ndarray, float]) -> float:
-    """How far a box reaches above a plane."""
-    return float((bounds.corners @ side[0] - side[1]).max())
-
-
-def _bounds(mesh: Mesh) -> _Bounds:
-    return _Bounds(*mesh.bounds())
-
-
-def plane_of(mesh: Mesh) -> tuple[np.ndarray, float] | None:
-    """Unit normal n and offset c with n . x = c for every vertex, or None where the mesh is not flat.
-
-    Flat within the float32 spacing of its coordinates.
-    """
-    areas = mesh.face_areas()
-    if len(areas) == 0 or areas.max() == 0.0:
-        return None
-    n = mesh.face_normals()[int(np.argmax(areas))]
-    n = n / np.linalg.norm(n)
-    used = mesh.vertices[np.unique(mesh.faces)]
-    offsets = used @ n
-    spacing = np.spacing(np.float32(np.abs(used).max()))
-    if offsets.max() - offsets.min() > 4 * spacing:
-        return None
-    return n, float(offsets.mean())
-
-
-def screen_rectangle(camera: Camera, bounds: _Bounds) -> tuple[float, float, float, float] | None:
+def screen_rectangle(camera: Camera, bounds: Box) -> tuple[float, float, float, float] | None:
     """Pixels (x0, y0, x1, y1) that a box may cover; everything where it reaches behind the camera; None
     where it is wholly behind."""
     pixels, depth = camera.project(bounds.corners)
@@ -216,7 +48,7 @@ def screen_rectangle(camera: Camera, bounds: _Bounds) -> tuple[float, float, flo
     return (x0, y0, x1, y1)
 
 
-def _distorted_rectangle(camera: Camera, bounds: _Bounds) -> tuple[float, float, float, float]:
+def _distorted_rectangle(camera: Camera, bounds: Box) -> tuple[float, float, float, float]:
     # Distortion bends the box's edges: sample its surface densely and widen by the samples' spacing.
     t = np.linspace(0, 1, 9)
     grid = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
@@ -264,7 +96,7 @@ def _pixel_directions(camera: Camera, x: np.ndarray, y: np.ndarray) -> np.ndarra
 
 
 def _surface_boxes(
-    camera: Camera, tiles: np.ndarray, bounds: _Bounds, plane: tuple[np.ndarray, float] | None
+    camera: Camera, tiles: np.ndarray, bounds: Box, plane: Side | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Boxes (n, 3) low and high that hold the part of a surface seen in each tile."""
     n = len(tiles)
@@ -292,62 +124,74 @@ def _surface_boxes(
     return low, high
 
 
-def _albedo(item: SceneObject) -> np.ndarray:
-    if item.material.from_photo:
-        return np.ones(3)
-    if item.material.texture is not None:
-        return item.material.texture.pixels.reshape(-1, 3).max(axis=0).astype(np.float64)
-    return np.asarray(item.material.reflectance, dtype=np.float64)
-
-
-def influence(facts: ShotFacts, frame: FrameFacts, view: str, *, light_change: bool) -> Influence:
-    """The tiles of one view of one frame where virtual objects may change something.
+class InfluenceMask:
+    """The mask of a shot: what of it is the same for every frame is found once.
 
     `light_change`: whether the light on real surfaces is simulated at all.
     """
-    window: Window = facts.windows[view]
-    camera = frame.cameras[view]
-    tiles = window.tile_rectangles()
-    seen = np.zeros(len(tiles), dtype=bool)
-    changed = np.zeros(len(tiles), dtype=bool)
-    if facts.everywhere:
-        return Influence(np.arange(len(tiles), dtype=np.int32), len(tiles), 0, "participants may be anywhere")
-    virtual, real = facts.scene.virtual, facts.scene.real
-    if not virtual:
-        return Influence(np.zeros(0, np.int32), 0, 0, "there is no virtual object")
-    for item in virtual:
-        if item.camera:
-            seen |= _overlaps(tiles, screen_rectangle(camera, _bounds(item.mesh)))
-    light = _LightBounds(facts.scene, unbounded=facts.half_code == 0.0 or not light_change)
-    gain = np.asarray(frame.gains[view], dtype=np.float64)
-    receivers = 0
-    for surface in real if light_change else ():
-        if not (surface.camera and surface.receive):
-            continue
-        bounds = _bounds(surface.mesh)
-        here = _overlaps(tiles, screen_rectangle(camera, bounds))
-        if not here.any():
-            continue
-        receivers += 1
-        plane = plane_of(surface.mesh)
-        low, high = _surface_boxes(camera, tiles, bounds, plane)
-        here &= np.isfinite(low[:, 0])
-        side = None
-        if plane is not None:
-            # Points of a plane see only what is on the side that the camera sees.
-            sign = np.sign(camera.world_from_camera[:3, 3] @ plane[0] - plane[1])
-            side = (plane[0] * sign, plane[1] * sign)
-        bound = light.change(surface, _Boxes(low[here], high[here]), side)
-        changed[here] |= np.any(gain * bound > facts.half_code, axis=1)
-    ids = np.nonzero(seen | changed)[0].astype(np.int32)
-    if len(ids) == 0:
-        why = (
-            "no virtual object is in the frame, and no real surface in it changes by half a code value"
-            if receivers
-            else "neither a virtual object nor a real surface that receives light is in the frame"
-        )
-    else:
+
+    def __init__(self, facts: ShotFacts, *, light_change: bool) -> None:
+        self.facts = facts
+        self.light_change = light_change
+        self._bounds: LightBounds | None = None
+
+    @property
+    def bounds(self) -> LightBounds:
+        if self._bounds is None:
+            self._bounds = LightBounds(self.facts.scene, exact=self.facts.half_code == 0.0)
+        return self._bounds
+
+    def tiles(self, frame: FrameFacts, view: str) -> Influence:
+        """The tiles of one view of one frame where virtual objects may change something."""
+        window: Window = self.facts.windows[view]
+        camera = frame.cameras[view]
+        tiles = window.tile_rectangles()
+        if self.facts.everywhere:
+            every = np.arange(len(tiles), dtype=np.int32)
+            return Influence(every, len(tiles), 0, "participants may be anywhere")
+        if not self.facts.scene.virtual:
+            return Influence(np.zeros(0, np.int32), 0, 0, "there is no virtual object")
+        seen = np.zeros(len(tiles), dtype=bool)
+        changed = np.zeros(len(tiles), dtype=bool)
+        for body in self.bounds.virtual:
+            if body.item.camera:
+                seen |= _overlaps(tiles, screen_rectangle(camera, body.box))
+        gain = np.asarray(frame.gains[view], dtype=np.float64)
+        receivers = 0
+        for body in self.bounds.real if self.light_change else ():
+            if not (body.item.camera and body.item.receive):
+                continue
+            here = _overlaps(tiles, screen_rectangle(camera, body.box))
+            if not here.any():
+                continue
+            receivers += 1
+            # What is known to change, or to be done anyway, needs no bound.
+            rows = np.nonzero(here & ~seen & ~changed)[0]
+            changed[rows] = self._may_change(body, camera, tiles[rows], gain)
+        ids = np.nonzero(seen | changed)[0].astype(np.int32)
         more = int((changed & ~seen).sum())
-        why = f"{len(ids)} of {len(tiles)} tiles: objects may be seen in {int(seen.sum())}, "
-        why += f"light may change in {more} more"
-    return Influence(ids, int(seen.sum()), int((changed & ~seen).sum()), why)
+        if len(ids) == 0:
+            why = (
+                "no virtual object is in the frame, and no real surface in it changes by half a code value"
+                if receivers
+                else "neither a virtual object nor a real surface that receives light is in the frame"
+            )
+        else:
+            why = f"{len(ids)} of {len(tiles)} tiles: objects may be seen in {int(seen.sum())}, "
+            why += f"light may change in {more} more"
+        return Influence(ids, int(seen.sum()), more, why)
+
+    def _may_change(self, surface: Body, camera: Camera, tiles: np.ndarray, gain: np.ndarray) -> np.ndarray:
+        """(n,): where the light on a surface seen in the tiles may change by half a code value."""
+        low, high = _surface_boxes(camera, tiles, surface.box, surface.plane)
+        side: Side | None = None
+        if surface.plane is not None:
+            # Points of a plane see only what is on the side that the camera sees.
+            normal, offset = surface.plane
+            sign = float(np.sign(camera.world_from_camera[:3, 3] @ normal - offset))
+            side = (normal * sign, offset * sign)
+        found = np.zeros(len(tiles), dtype=bool)
+        there = np.isfinite(low[:, 0])
+        bound = self.bounds.change(surface, Boxes(low[there], high[there]), side)
+        found[there] = np.any(gain * bound > self.facts.half_code, axis=1)
+        return found

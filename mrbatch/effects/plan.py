@@ -10,7 +10,7 @@ import numpy as np
 
 from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.facts import ShotFacts
-from mrbatch.effects.influence import influence
+from mrbatch.effects.influence import InfluenceMask
 from mrbatch.errors import JobError
 
 ON = ("needed", "unresolved", "forced-on")
@@ -79,9 +79,10 @@ def make_plan(rules: Sequence[Rule], facts: ShotFacts, forced: Mapping[str, str]
     tiles: dict[tuple[int, str], np.ndarray] = {}
     words: dict[tuple[int, str], str] = {}
     changes = "light-change" in effects and effects["light-change"].state in ON
+    mask = InfluenceMask(facts, light_change=changes)
     for frame in facts.frames:
         for view in facts.windows:
-            found = influence(facts, frame, view, light_change=changes)
+            found = mask.tiles(frame, view)
             tiles[frame.number, view] = found.tiles
             words[frame.number, view] = found.why
     return Plan(effects, tiles, words)

@@ -142,6 +142,14 @@ class Environment:
         """(3,) float64: integral of L over all directions."""
         return self._integrals.total
 
+    def most_irradiance(self) -> np.ndarray:
+        """(3,) float64: no less than the irradiance on an unoccluded surface, however it is turned."""
+        return self._integrals.most_irradiance()
+
+    def most_radiance(self) -> np.ndarray:
+        """(3,) float64: no less than the radiance of the map in any direction."""
+        return self._integrals.most_radiance()
+
     def bound_in_cones(
         self, axis: np.ndarray, cos_half_angle: np.ndarray, solid_angle: np.ndarray | None = None
     ) -> np.ndarray:

@@ -152,6 +152,21 @@ class EnvironmentIntegrals:
         radii = _radii(theta, phi)
         return centres.reshape(-1, 3), radii.ravel(), energy.reshape(-1, 3), largest.reshape(-1, 3)
 
+    def most_radiance(self) -> np.ndarray:
+        """(3,): no less than L in any direction."""
+        return self._coarse[3].max(axis=0).astype(np.float64)
+
+    def most_irradiance(self) -> np.ndarray:
+        """(3,): no less than the integral of L max(0, n.w) for any unit n.
+
+        Every normal lies in one of the coarse cells, and light comes from no nearer to it than the
+        distance between the two cells' centres less their radii.
+        """
+        centres, radii, energy, _ = self._coarse
+        apart = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) - radii[:, None] - radii[None]
+        cosine = np.cos(np.clip(apart, 0.0, 0.5 * np.pi))
+        return (cosine @ energy).max(axis=0) * (1.0 + _ROUNDING)
+
     def bound_in_cones(
         self, axis: np.ndarray, cosine: np.ndarray, solid_angle: np.ndarray | None = None
     ) -> np.ndarray:

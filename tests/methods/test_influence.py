@@ -22,8 +22,8 @@ from mrbatch.methods.delta_path_tracing.cases import (
 )
 from mrbatch.methods.estimate import estimate
 from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
-from mrbatch.scene.mesh import box, plane
-from mrbatch.scene.scene import Material
+from mrbatch.scene.mesh import Mesh, box, plane
+from mrbatch.scene.scene import Material, SceneObject
 
 HALF_CODE = 0.5 / 255 / 12.92
 """Half the smallest step of 8-bit sRGB codes, linear."""
@@ -78,11 +78,50 @@ def test_masked_and_unmasked_tiles_have_the_same_bits():
     assert masked.counters["camera rays"] < full.counters["camera rays"]
 
 
-def test_metal_may_focus_light_anywhere_on_its_side():
-    metal = replace(small_ball((0, 0, 0.3)), material=Material("conductor", (0.9, 0.9, 0.9), 0.1))
-    result = estimate(METHOD, scene_of([table(6.0), metal]), camera(), spp=2, half_code=0.01)
-    seen_table = estimate(METHOD, scene_of([table(6.0), small_ball((0, 0, 0.3))]), camera(), spp=2)
-    assert len(result.plan.tiles[0, ""]) == len(seen_table.plan.tiles[0, ""])
+def dish(at, towards, radius, aperture):
+    """A concave mirror: a cap of a sphere about `at + radius towards`, of half width `aperture`."""
+    n = np.asarray(towards, np.float64) / np.linalg.norm(towards)
+    side = np.cross(n, [0.0, 1.0, 0.0]) / np.linalg.norm(np.cross(n, [0.0, 1.0, 0.0]))
+    frame = np.stack([side, np.cross(n, side), n], axis=1)
+    rings, spokes = 16, 32
+    polar = np.arcsin(aperture / radius) * np.arange(1, rings + 1) / rings
+    azimuth = 2 * np.pi * np.arange(spokes) / spokes
+    ring = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+    flat = (radius * np.sin(polar))[:, None, None] * ring
+    height = np.broadcast_to((radius * (1 - np.cos(polar)))[:, None, None], (rings, spokes, 1))
+    local = np.concatenate([np.zeros((1, 3)), np.concatenate([flat, height], axis=2).reshape(-1, 3)])
+    at_ring = 1 + np.arange(rings)[:, None] * spokes + np.arange(spokes)
+    right = np.roll(at_ring, -1, axis=1)
+    fan = np.stack([np.zeros(spokes, int), at_ring[0], right[0]], axis=1)
+    first = np.stack([at_ring[:-1], at_ring[1:], right[1:]], axis=-1).reshape(-1, 3)
+    second = np.stack([at_ring[:-1], right[1:], right[:-1]], axis=-1).reshape(-1, 3)
+    faces = np.concatenate([fan, first, second]).astype(np.int32)
+    mesh = Mesh(np.asarray(at) + local @ frame.T, faces).with_angle_weighted_normals()
+    return SceneObject("dish", mesh, Material("conductor", (0.95,) * 3, 0.02), True, camera=False)
+
+
+def test_metal_that_focuses_light_is_bounded_by_the_brightest_of_the_map():
+    """A dish throws an image of the lamp onto the table: it is no brighter than the lamp itself."""
+    lamp, target, at = np.array([0.63, 0.0, 0.78]), np.zeros(3), np.array([-0.6, 0.0, 0.3])
+    to_target = (target - at) / np.linalg.norm(target - at)
+    focal = 2 * float(np.linalg.norm(target - at))
+    mirror = dish(at, lamp / np.linalg.norm(lamp) + to_target, focal, 0.1)
+    scene = scene_of([table(40.0), mirror], lamp_sky())
+    found = estimate(METHOD, scene, camera(), spp=256).developed.D
+    assert found.max() > 0.08, "no image of the lamp"
+    skipped, excess = skipped_change(scene.objects, lamp_sky(), camera(), 0.1, spp=256)
+    assert skipped >= 3 and excess <= 0.0
+
+
+def test_a_surface_of_unknown_reflectance_does_not_need_every_tile():
+    """Reflectance from the photo may be anything up to 1: what is far from the object is still left out."""
+    photo = replace(table(40.0), material=Material(from_photo=True))
+    box_there = replace(
+        real("box", box((0.2, 0.2, 0.2), centre=(1.5, 0.5, 0.1))), material=Material(from_photo=True)
+    )
+    scene = scene_of([photo, box_there, small_ball((0, 0, 0.03), radius=0.03)])
+    facts = estimate(METHOD, scene, camera(), spp=2, half_code=0.02)
+    assert 0 < len(facts.plan.tiles[0, ""]) < 12
 
 
 def skipped_change(objects, light, view, half_code, *, spp=64, seed=0):

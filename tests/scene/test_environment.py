@@ -204,6 +204,26 @@ def test_cone_bound_is_never_below_the_light(shape, interpolation):
     assert np.allclose(sphere, environment.fluence(), rtol=1e-6)
 
 
+def test_most_radiance_and_irradiance_are_never_exceeded():
+    random = np.random.default_rng(5)
+    for shape in ((7, 9), (64, 128)):
+        radiance = random.lognormal(0.0, 2.0, (*shape, 3)).astype(np.float32)
+        found = Environment(radiance)
+        directions = random.normal(size=(2000, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        # Both peaks lie near the map's brightest texels: look there too.
+        row, column = np.unravel_index(np.argsort(radiance.sum(axis=2), axis=None)[-20:], shape)
+        theta, phi = np.pi * (row + 0.5) / shape[0], 2 * np.pi * (0.5 - (column + 0.5) / shape[1])
+        bright = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+        normals = np.concatenate([directions[:200], bright])
+        irradiance = found.irradiance(normals).max(axis=0)
+        assert (irradiance <= found.most_irradiance()).all()
+        assert (found.most_irradiance() < found.fluence()).all()
+        assert (radiance.max(axis=(0, 1)) <= found.most_radiance()).all()
+    even = Environment(np.ones((8, 16, 3), np.float32)).most_irradiance()
+    assert (np.pi <= even).all() and (even < 1.3 * np.pi).all()
+
+
 def test_cone_bound_is_useful():
     """On a flat map it is tight; away from a lamp it does not see the lamp."""
     flat = Environment(np.ones((32, 64, 3), dtype=np.float32))

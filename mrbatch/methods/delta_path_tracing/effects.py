@@ -6,7 +6,7 @@ import numpy as np
 
 from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.facts import ShotFacts
-from mrbatch.effects.influence import plane_of
+from mrbatch.effects.light_bounds import plane_of
 from mrbatch.effects.surface_rules import (
     DISTORTION,
     ENVIRONMENT,
