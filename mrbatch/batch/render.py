@@ -20,7 +20,7 @@ from mrbatch.film.composite import Contribution, behind_matte, composite, over
 from mrbatch.film.cryptomatte import name_id
 from mrbatch.film.exr import FrameImage, ViewImage, write_frame
 from mrbatch.film.first_hit import first_hit_estimates
-from mrbatch.film.layers import CRYPTOMATTES, channels
+from mrbatch.film.layers import CRYPTOMATTES, channels, data_behind_matte
 from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
 from mrbatch.film.rendering import FrameRenderer, Source
 from mrbatch.film.window import Window
@@ -95,7 +95,14 @@ class ShotRenderer:
         says = job.method_object.history or any(p.history for p in job.participant_objects)
         if self.has_history and not says:
             raise ValueError("a pipeline holds history buffers, but nothing in the job says `history`")
-        self._object_ids = np.array([name_id(o.name) for o in prepared.scene.objects], dtype=np.uint32)
+        self._names = {
+            "object": [o.name for o in prepared.scene.objects],
+            "material": [o.material.name or o.name for o in prepared.scene.objects],
+        }
+        self._ids = {
+            kind: np.array([name_id(name) for name in names], dtype=np.uint32)
+            for kind, names in self._names.items()
+        }
         self._settings = pixel_relevant(job)
 
     @property
@@ -238,7 +245,8 @@ class ShotRenderer:
         }
         if laid.D_indirect is not None:
             estimates["D_indirect"] = laid.D_indirect
-        estimates.update(first_hit_estimates(view, self.outputs, rendered.buffers, self._object_ids))
+        data = first_hit_estimates(view, self.outputs, rendered.buffers, self._ids)
+        estimates.update(data if matte is None else data_behind_matte(data, matte))
         picture = composite(laid.P, laid.a, given.background, laid.D)
         changed = (laid.a > 0) | np.any(laid.D != 0, axis=-1)
         error = 0.0
@@ -250,11 +258,10 @@ class ShotRenderer:
     def _cryptomatte_attributes(self) -> dict[str, str]:
         from mrbatch.film import cryptomatte
 
-        names = [o.name for o in self.prepared.scene.objects]
         found: dict[str, str] = {}
-        for layer, kind in CRYPTOMATTES.items():
+        for layer, name in CRYPTOMATTES.items():
             if layer in self.prepared.layers:
-                found.update(cryptomatte.metadata(kind, names))
+                found.update(cryptomatte.metadata(name, self._names[layer.removeprefix("crypto_")]))
         return found
 
 

@@ -6,6 +6,7 @@ A pass of its own over a fixed number of camera rays, run only where a layer ask
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,9 +27,10 @@ from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, DeviceScene, SceneData, s
 from mrbatch.scene.shading import ShadingFlags, make_surface
 
 SAMPLES = wp.constant(wp.int32(32))
-RANKS = wp.constant(wp.int32(6))
-"""Objects that a pixel can hold: three Cryptomatte layers of two."""
-PARTS = ("depth", "normal", "albedo", "motion", "object_ids")
+RANKS = wp.constant(wp.int32(12))
+"""Objects that are told apart in a pixel, the first that its samples meet: twice what Cryptomatte keeps,
+so that the six largest are among them wherever no more than twelve meet."""
+PARTS = ("depth", "normal", "albedo", "motion")
 _NOTHING = wp.constant(wp.float32(NOTHING))
 
 COUNTERS = (Counter("camera rays", "rays", "rays from the camera for data layers"),)
@@ -56,15 +58,18 @@ class Wanted:
     normal: bool
     albedo: bool
     motion: bool
-    object_ids: bool
+    names: bool
+    """Which objects are seen: for masks by the name of the object or of its material."""
 
     @property
     def any(self) -> bool:
-        return self.depth or self.normal or self.albedo or self.motion or self.object_ids
+        return self.depth or self.normal or self.albedo or self.motion or self.names
 
 
 def wanted(outputs: Outputs) -> Wanted:
-    return Wanted(*(part in outputs.needs for part in PARTS))
+    named = "object_ids" in outputs.needs or "material_ids" in outputs.needs
+    depth, normal, albedo, motion = (part in outputs.needs for part in PARTS)
+    return Wanted(depth, normal, albedo, motion, named)
 
 
 def _name(view: ViewOutput, part: str) -> str:
@@ -80,7 +85,7 @@ def first_hit_buffers(view: ViewOutput, outputs: Outputs) -> tuple[Buffer, ...]:
         if getattr(wants, part):
             shape = (n,) if width == 1 else (n, width)
             found.append(Buffer(_name(view, part), shape, "float32", "frame"))
-    if wants.object_ids:
+    if wants.names:
         found.append(Buffer(_name(view, "ranks"), (n, int(RANKS)), "int32", "frame"))
         found.append(Buffer(_name(view, "share"), (n, int(RANKS)), "float32", "frame"))
     return tuple(found)
@@ -142,7 +147,7 @@ def _make_kernel(
                         if wp.static(wants.motion):
                             then = camera_project(out.next_camera, point.p)
                             motion += wp.vec2(then[0] - x, then[1] - y)
-                        if wp.static(wants.object_ids):
+                        if wp.static(wants.names):
                             placed = int(0)
                             for rank in range(int(RANKS)):
                                 holder = out.ranks[pixel.index, rank]
@@ -216,12 +221,12 @@ def first_hit_pass(
 
 
 def first_hit_estimates(
-    view: ViewOutput, outputs: Outputs, buffers: Any, object_ids: np.ndarray
+    view: ViewOutput, outputs: Outputs, buffers: Any, ids: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Host arrays by the names of `layers.ESTIMATES`.
 
-    `object_ids` (objects,) uint32: the id of each object of the scene. Where no pass ran (nothing
-    virtual), the layers are empty.
+    `ids`: by `object` and `material`, for each object of the scene, the id (objects,) uint32 of its own
+    name and of its material's. Where no pass ran (nothing virtual), the layers are empty.
     """
     h, w = view.window.height, view.window.width
     wants = wanted(outputs)
@@ -241,12 +246,14 @@ def first_hit_estimates(
             if part == "depth" and held is not None:
                 # A tile that no pass ran over still holds the zero of its allocation.
                 found[part][found[part] == 0.0] = NOTHING
-    if wants.object_ids:
+    if wants.names:
         held = buffers.get(_name(view, "ranks"))
         k = int(RANKS)
         ranks = np.zeros((h * w, k), np.int32) if held is None else held.numpy()
         share = np.zeros((h * w, k), np.float32) if held is None else buffers[_name(view, "share")].numpy()
-        ids = np.where(ranks > 0, np.concatenate([[0], object_ids])[ranks], 0).astype(np.uint32)
-        found["object_ids"] = ids.reshape(h, w, k)
-        found["object_coverage"] = share.reshape(h, w, k).copy()
+        for kind, named in ids.items():
+            if f"{kind}_ids" in outputs.needs:
+                chosen = np.concatenate([np.zeros(1, np.uint32), named])[ranks]
+                found[f"{kind}_ids"] = chosen.reshape(h, w, k)
+                found[f"{kind}_coverage"] = share.reshape(h, w, k).copy()
     return found

@@ -227,6 +227,24 @@ def needs(names: Iterable[str] | None) -> frozenset[str]:
     return frozenset(name for layer in choose(names) for name in layer.needs)
 
 
+def data_behind_matte(estimates: Estimates, matte: np.ndarray) -> dict[str, np.ndarray]:
+    """The data of first hits where something real stands in front, `matte` (h, w) of the pixel.
+
+    What is weighted by coverage is weighted by 1 - m too; where nothing virtual is left to be seen, depth
+    and motion are those of nothing. Other estimates are as they were.
+    """
+    rest = 1.0 - matte.astype(np.float32)
+    found = dict(estimates)
+    for name in ("normal", "albedo", "object_coverage", "material_coverage"):
+        if name in found:
+            found[name] = found[name] * rest[..., None]
+    hidden = rest <= 0.0
+    for name, nothing in (("depth", NOTHING), ("motion", 0.0)):
+        if name in found:
+            found[name] = np.where(hidden if name == "depth" else hidden[..., None], nothing, found[name])
+    return found
+
+
 def channels(names: Iterable[str] | None, estimates: Estimates) -> dict[str, np.ndarray]:
     """Channels (h, w) float32 of the layers, in file order.
 

@@ -70,7 +70,8 @@ def _real(item: given.RealObject) -> SceneObject:
 def _virtual(item: given.VirtualObject) -> SceneObject:
     look = item.material
     alpha = look.roughness if isinstance(look, given.Conductor) else 0.0
-    return _object(item, _material(look.type, look.reflectance, alpha), virtual=True, holdout=item.holdout)
+    material = replace(_material(look.type, look.reflectance, alpha), name=look.name or "")
+    return _object(item, material, virtual=True, holdout=item.holdout)
 
 
 def _object(item: given.Object, material: Material, *, virtual: bool, holdout: bool) -> SceneObject:

@@ -27,7 +27,8 @@ class Material:
 
     `kind`: a name of mrbatch.kernels.bsdf ("diffuse", "conductor"). `reflectance` (3,) linear in
     0..1; `texture` multiplies in place of it. `alpha`: GGX roughness. `from_photo`: the diffuse
-    reflectance of a real surface is what the photo and the light say it is.
+    reflectance of a real surface is what the photo and the light say it is. `name`: what masks by material
+    call it; empty: as its object.
     """
 
     kind: str = "diffuse"
@@ -35,6 +36,7 @@ class Material:
     alpha: float = 0.0
     texture: Texture | None = None
     from_photo: bool = False
+    name: str = ""
 
 
 @dataclass(frozen=True)

@@ -149,6 +149,9 @@ class Diffuse(Settings):
     """Reflects the same radiance in all directions (Lambert)."""
 
     type: Literal["diffuse"] = Field("diffuse", description="Kind of material")
+    name: Name | None = Field(
+        None, description="Name in the layer `crypto_material`, which objects may share; none: the object's"
+    )
     reflectance: _ConstantOrTexture = Field(
         (0.5, 0.5, 0.5), description="Share of light reflected, linear Rec.709, 0..1, or a texture"
     )
@@ -158,6 +161,9 @@ class Conductor(Settings):
     """Metal: GGX microfacets with a reflectance at normal incidence (Schlick)."""
 
     type: Literal["conductor"] = Field("conductor", description="Kind of material")
+    name: Name | None = Field(
+        None, description="Name in the layer `crypto_material`, which objects may share; none: the object's"
+    )
     reflectance: _ConstantOrTexture = Field(
         (0.9, 0.9, 0.9),
         description="Share of light reflected at normal incidence, linear Rec.709, 0..1, or a texture",

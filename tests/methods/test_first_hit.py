@@ -44,7 +44,10 @@ def layers(objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window
         renderer = FrameRenderer(runner, [Source("method", pipeline)], outputs, TimingNode("test"))
         given = {"": ViewInput(camera, black, np.ones(3), next_camera)}
         rendered = renderer.render(0, given, 2, tiles=None if tiles is None else {"": tiles})
-        ids = np.arange(1, len(objects) + 1, dtype=np.uint32) * 100
+        ids = {
+            "object": np.arange(1, len(objects) + 1, dtype=np.uint32) * 100,
+            "material": np.array([7 if o.material.name == "shared" else 8 for o in objects], np.uint32),
+        }
         return first_hit_estimates(view, outputs, rendered.buffers, ids)
 
 
@@ -119,6 +122,32 @@ def test_overlapping_objects_share_a_pixel():
     for switch in ({"holdout": True}, {"camera": False}):
         found = layers([card(2.0, **switch)], camera())
         assert np.all(found["depth"] == NOTHING) and not found["object_coverage"].any()
+
+
+def test_objects_of_one_material_share_its_mask():
+    shared = Material(name="shared")
+    cards = [
+        replace(virtual(name, plane(2, 2, centre=(x, 0, 1))), material=look)
+        for name, x, look in (("left", -2.0, shared), ("middle", 0.0, Material()), ("right", 2.0, shared))
+    ]
+    found = layers(cards, camera(), needs=frozenset({"material_ids", "material_coverage"}))
+    assert set(found) == {"material_ids", "material_coverage"}
+    total = {k: found["material_coverage"][found["material_ids"] == k].sum() for k in (7, 8)}
+    assert total[8] == pytest.approx(100, rel=0.01), "2 m seen from 4 m: 10 x 10 pixels"
+    assert total[7] == pytest.approx(2 * 70, rel=0.01), "7 of 10 columns of each are in the picture"
+
+
+def test_the_largest_of_many_objects_is_kept():
+    """Eight slivers cover the left of a pixel, one card the rest: the card must not be the one left out."""
+    edges = np.linspace(-0.05, 0.0, 9)
+    slivers = [
+        virtual(f"sliver{i}", plane(float(b - a), 0.2, centre=(float(a + b) / 2, -0.05, 0.0)))
+        for i, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True))
+    ]
+    view = look_at((0, 0, 5.0), (0, 0, 0), width=1, height=1, focal=50.0)
+    found = layers([*slivers, virtual("card", plane(0.2, 0.4, centre=(0.1, 0, 0.0)))], view)
+    share = found["object_coverage"][0, 0][found["object_ids"][0, 0] == 900]
+    assert share.sum() == pytest.approx(0.5, abs=0.02)
 
 
 def test_albedo_is_the_texture():

@@ -27,6 +27,7 @@ METHOD = Method(
         "variance",
         "samples",
         "crypto_object",
+        "crypto_material",
     ),
     rules=RULES,
     axes=AXES,
