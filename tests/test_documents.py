@@ -53,6 +53,27 @@ def test_the_jobs_that_the_readme_renders_are_there():
     assert not [job for job in jobs if not (ROOT / job).is_file()]
 
 
+def test_overrides_that_are_advised_work():
+    from mrbatch.job import load_job
+
+    job = ROOT / "configs" / "marker_video.yaml"
+    advised = {
+        override
+        for page in (*PAGES, job)
+        for override in re.findall(r"--set '([^']+)'", page.read_text(encoding="utf-8"))
+    }
+    assert "virtual.golden bunny.material.roughness=0.3" in advised
+    assert load_job(job, sorted(advised))
+
+
+def test_other_settings_are_advised_with_another_folder():
+    lines = README.replace("\\\n", " ").splitlines()
+    renders = [line for line in lines if line.startswith("    ") and "mrbatch render" in line]
+    assert len(renders) >= 3
+    for line in renders:
+        assert "--output" in line or not re.search(r"--(set|scale|crop|seed|layers)", line), line
+
+
 def test_continuous_integration_calls_the_test_command_of_the_readme():
     commands = re.findall(r"\.venv/bin/(python -m pytest[^`\n]*)", README)
     assert commands == ["python -m pytest", "python -m pytest -m slow"]
