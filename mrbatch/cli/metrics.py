@@ -69,6 +69,7 @@ class Floats(click.ParamType):
     help="HDR-FLIP's START,STOP,COUNT in stops; by default taken from each reference.",
 )
 @click.option("--flip/--no-flip", default=True, help="Compute FLIP (slower than all others together).")
+@click.option("--all", "every", is_flag=True, help="Folders: an error where one lacks a picture of another.")
 @click.option("--json", "json_file", type=_FILE, help="Write all figures as a report.json.")
 @click.option("--junit", type=_FILE, help="Write JUnit XML, a test case a gate.")
 @click.option("--html", type=_FILE, help="Write one page with pictures and error maps.")
@@ -88,19 +89,21 @@ class Floats(click.ParamType):
 )
 @click.pass_context
 def command(
-    ctx, test, reference, without, roi, gain, projection, layer, exposures, flip, gate_scope, **options
+    ctx, test, reference, without, roi, gain, projection, layer, exposures, flip, every, gate_scope, **options
 ):
-    """Compare TEST with REFERENCE: two pictures (EXR, PNG, ...) or two folders with the same names.
+    """Compare TEST with REFERENCE: two pictures (EXR, PNG, ...), or the pictures of two folders that
+    have the same names (EXR files where both hold some; previews never).
 
     relMSE, RMSE, PSNR, SSIM and FLIP of the whole frame, of the region of interest and of the worst
     16x16 tile. Gates judge the worst frame.
     """
     from mrbatch.metrics.errors import Exposures
-    from mrbatch.report.comparison import CompareSettings, compare, find_pairs
+    from mrbatch.report.comparison import CompareSettings, compare
     from mrbatch.report.html import write_html
     from mrbatch.report.junit import write_junit
     from mrbatch.report.markdown import write_markdown
     from mrbatch.report.model import save_report
+    from mrbatch.report.pairs import find_pairs
 
     if roi is None and without is not None:
         roi = "auto"
@@ -115,7 +118,7 @@ def command(
         gate_scope=gate_scope,
         pictures=options["html"] is not None,
     )
-    report, images = compare(find_pairs(test, reference, without), settings)
+    report, images = compare(find_pairs(test, reference, without, every=every), settings)
     print_scores(report)
     if options["json_file"]:
         save_report(report, options["json_file"])

@@ -28,6 +28,7 @@ from mrbatch.film.layers import channel_kind
 from mrbatch.film.window import Window
 from mrbatch.kernels.transfer import PRIMARIES, from_linear, to_linear
 from mrbatch.scene.camera import Camera
+from mrbatch.scene.file_kind import unreadable
 
 ColourType = Literal["half", "float"]
 HALF_MAX = 65504.0
@@ -358,9 +359,10 @@ def _parts(path: Path, max_values: int | None) -> Iterator[tuple[Any, dict[str, 
     try:
         source = oiio.ImageInput.open(str(path))
         if source is None:
-            raise InputError(f"cannot read the file: {oiio.geterror().strip()}", place=place)
+            oiio.geterror()
+            raise unreadable(path, "an EXR frame", ("EXR",))
         if source.format_name() != "openexr":
-            raise InputError(f"this is no EXR but {source.format_name()}", place=place)
+            raise unreadable(path, "an EXR frame", ("EXR",))
         index = 0
         while source.seek_subimage(index, 0):
             spec = source.spec()
@@ -373,9 +375,9 @@ def _parts(path: Path, max_values: int | None) -> Iterator[tuple[Any, dict[str, 
                         place=place,
                     )
                 pixels = source.read_image(index, 0, 0, spec.nchannels, "float")
-                error = source.geterror()
-                if pixels is None or error:
-                    raise InputError(f"the pixels cannot be read: {error.strip()}", place=place)
+                if pixels is None or source.geterror():
+                    source.geterror()
+                    raise unreadable(path, "an EXR frame", ("EXR",))
             yield spec, attributes, pixels
             index += 1
         source.geterror()  # seeking past the last part leaves a message

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -30,13 +29,14 @@ from mrbatch.report.model import (
     Totals,
     Value,
 )
+from mrbatch.report.pairs import Pair, Pairs
 from mrbatch.report.pictures import (
-    SUFFIXES,
     LinearPicture,
     display_codes,
     magnitude_picture,
     map_scale,
     read_picture,
+    signed_caption,
     signed_picture,
 )
 
@@ -44,17 +44,6 @@ GateScope = Literal["auto", "frame", "region", "tile"]
 _PARTS = {"frame": "the whole frame", "region": "the region of interest", "tile": "the worst tile"}
 MOSTLY_REGION = 0.9
 """A region of interest that covers more than this share of the frame is probably noise."""
-
-
-@dataclass(frozen=True)
-class Pair:
-    """A picture, its reference, and the reference without virtual objects where there is one."""
-
-    name: str
-    number: int
-    test: Path
-    reference: Path
-    without: Path | None
 
 
 @dataclass(frozen=True)
@@ -76,61 +65,14 @@ class CompareSettings:
     pictures: bool = False
 
 
-def find_pairs(test: Path, reference: Path, without: Path | None = None) -> tuple[Pair, ...]:
-    """Two files, or the pictures of two folders that have the same names.
-
-    Raises InputError where one is a file and the other a folder, or a name is in one folder only.
-    """
-    test, reference = Path(test), Path(reference)
-    for path in filter(None, (test, reference, without)):
-        if not Path(path).exists():
-            raise InputError(
-                "there is no such file or folder", place=Place(file=str(path)), hint="check the path"
-            )
-    if test.is_dir() != reference.is_dir() or (without and Path(without).is_dir() != test.is_dir()):
-        raise InputError(
-            "a file can be compared with a file only, a folder with a folder",
-            place=Place(file=str(test)),
-            hint=f"the reference is {reference}",
-        )
-    if not test.is_dir():
-        return (Pair(test.name, _number(test, 1), test, reference, without),)
-    folders = {"test folder": test, "reference folder": reference}
-    if without:
-        folders["folder without objects"] = Path(without)
-    names = {what: _picture_names(folder) for what, folder in folders.items()}
-    if not names["test folder"]:
-        raise InputError(
-            "the folder has no pictures",
-            place=Place(file=str(test)),
-            hint=f"read are {', '.join(SUFFIXES)}",
-        )
-    for what, found in names.items():
-        missing = sorted(set().union(*names.values()) - set(found))
-        if missing:
-            more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
-            raise InputError(
-                f"the {what} lacks {', '.join(missing[:3])}{more}",
-                place=Place(file=str(folders[what])),
-                hint="all folders must hold the same picture names",
-            )
-    found = sorted(names["test folder"])
-    frame_numbers = [_number(test / name, i + 1) for i, name in enumerate(found)]
-    if len(set(frame_numbers)) != len(found):
-        frame_numbers = list(range(1, len(found) + 1))
-    return tuple(
-        Pair(name, number, test / name, reference / name, Path(without) / name if without else None)
-        for name, number in zip(found, frame_numbers)
-    )
-
-
-def compare(pairs: Sequence[Pair], settings: CompareSettings) -> tuple[Report, dict[str, np.ndarray]]:
+def compare(several: Pairs, settings: CompareSettings) -> tuple[Report, dict[str, np.ndarray]]:
     """Compare all pairs. Gives the report and its pictures (uint8 RGB by the report's paths).
 
     One pair that cannot be compared is an InputError; of several it is a failed frame, exit code 4.
     """
+    pairs = several.found
     frames: list[Frame] = []
-    notes: list[Note] = []
+    notes = [Note(level="warning", text=text) for text in several.notes()]
     pictures: list[Picture] = []
     images: dict[str, np.ndarray] = {}
     exposures: dict[str, Any] = {}
@@ -264,6 +206,21 @@ def _three(values: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.repeat(values, 3, axis=2) if values.shape[2] == 1 and other.shape[2] == 3 else values
 
 
+def _both(
+    test: LinearPicture, reference: LinearPicture, gain: float | tuple[float, float, float]
+) -> list[tuple[Role, str, np.ndarray]]:
+    """Picture and reference as a person sees them; signed ones (a light change) on one scale around grey."""
+    values = {"composite": test.values, "reference": reference.values}
+    found: list[tuple[Role, str, np.ndarray]] = []
+    if min(float(np.min(v)) for v in values.values()) < 0:
+        scale = max(map_scale(v) for v in values.values())
+        for role, v in values.items():
+            found.append((cast(Role, role), signed_caption(scale), signed_picture(v, scale)))
+    else:
+        found += [(cast(Role, role), "", display_codes(v, gain)) for role, v in values.items()]
+    return found
+
+
 def _gates(frames: Sequence[Frame], settings: CompareSettings) -> tuple[Gate, ...]:
     gates = []
     for name, limit in (settings.gates or {}).items():
@@ -295,15 +252,17 @@ def _gates(frames: Sequence[Frame], settings: CompareSettings) -> tuple[Gate, ..
     return tuple(gates)
 
 
-def _pictures(pair, settings, test, reference, errors) -> list[tuple[Picture, np.ndarray]]:
+def _pictures(
+    pair: Pair,
+    settings: CompareSettings,
+    test: LinearPicture,
+    reference: LinearPicture,
+    errors: ImageErrors,
+) -> list[tuple[Picture, np.ndarray]]:
+    found = _both(test, reference, settings.gain)
     difference = test.values.astype(np.float64) - reference.values
     scale, relmse = map_scale(difference), errors.maps["relmse"]
-    signed = signed_picture(difference, scale)
-    found: list[tuple[Role, str, np.ndarray]] = [
-        ("composite", "", display_codes(test.values, settings.gain)),
-        ("reference", "", display_codes(reference.values, settings.gain)),
-        ("difference", f"brighter is more, ends at {numbers.number(scale)}", signed),
-    ]
+    found.append(("difference", signed_caption(scale), signed_picture(difference, scale)))
     if "flip_hdr" in errors.maps:
         found.append(("flip", "HDR, pale is 1", magnitude_picture(errors.maps["flip_hdr"], 1.0)))
     scale = map_scale(np.sqrt(relmse))
@@ -313,14 +272,3 @@ def _pictures(pair, settings, test, reference, errors) -> list[tuple[Picture, np
         (Picture(role=role, path=f"{pair.name}#{role}", frame=pair.number, caption=caption), codes)
         for role, caption, codes in found
     ]
-
-
-def _picture_names(folder: Path) -> list[str]:
-    files = (p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
-    return [p.name for p in files if p.suffix.lower() in SUFFIXES]
-
-
-def _number(path: Path, otherwise: int) -> int:
-    """The frame number at the end of a name such as `desk.0012.exr`."""
-    match = re.search(r"(\d{1,9})$", path.stem)
-    return int(match.group(1)) if match else otherwise

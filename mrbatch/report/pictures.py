@@ -15,6 +15,8 @@ import numpy as np
 
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import encode, to_linear
+from mrbatch.report import numbers
+from mrbatch.scene.file_kind import PICTURES, unreadable
 
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pfm")
 MAX_VALUES = 1 << 28
@@ -58,7 +60,8 @@ def read_picture(path: Path, layer: str = "", *, max_values: int = MAX_VALUES) -
         raise InputError("there is no such picture", place=place, hint="check the name and the folder")
     source = oiio.ImageInput.open(os.fspath(path))
     if source is None:
-        raise InputError(f"cannot read the picture: {_reason(oiio.geterror())}", place=place)
+        oiio.geterror()
+        raise unreadable(path, "a picture", PICTURES)
     try:
         part, known = 0, []
         while source.seek_subimage(part, 0):
@@ -85,7 +88,8 @@ def read_picture(path: Path, layer: str = "", *, max_values: int = MAX_VALUES) -
         first, last = min(chosen), max(chosen) + 1
         values = source.read_image(part, 0, first, last, wanted)
         if values is None:
-            raise InputError(f"cannot read the picture: {_reason(source.geterror())}", place=place)
+            source.geterror()
+            raise unreadable(path, "a picture", PICTURES)
         values = np.asarray(values).reshape(spec.height, spec.width, last - first)
         values = values[:, :, [i - first for i in chosen]]
     finally:
@@ -94,10 +98,6 @@ def read_picture(path: Path, layer: str = "", *, max_values: int = MAX_VALUES) -
     return LinearPicture(
         linear, (spec.x - spec.full_x, spec.y - spec.full_y), (spec.full_width, spec.full_height)
     )
-
-
-def _reason(text: str) -> str:
-    return " ".join(text.split())[:300] or "unknown format"
 
 
 def _channels_of(names: list[str], layer: str) -> list[int]:
@@ -161,6 +161,11 @@ def signed_picture(values: np.ndarray, high: float) -> np.ndarray:
     return (
         np.floor(127.5 + 127.5 * np.sign(level) * np.sqrt(np.abs(level)) + 0.5).clip(0, 255).astype(np.uint8)
     )
+
+
+def signed_caption(high: float) -> str:
+    """The legend of a picture drawn by `signed_picture`."""
+    return f"grey: no change; white +{numbers.number(high)}, black -{numbers.number(high)} or beyond"
 
 
 def draw(picture: LinearPicture, role: str) -> np.ndarray:

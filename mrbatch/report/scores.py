@@ -25,7 +25,7 @@ class ScoreTable:
 
 
 def score_table(report: Report) -> ScoreTable:
-    """One frame: its figures. Several: the mean, with the worst frame's figure and number beside it."""
+    """One frame: its figures. Several: the mean, and where they differ the worst frame's beside it."""
     found: dict[tuple[str, str], list[tuple[int, Score]]] = {}
     measured = [f for f in report.frames if f.scores]
     for frame in measured:
@@ -53,4 +53,6 @@ def _cell(scores: list[tuple[int, Score]], higher_is_better: bool) -> str:
         at = f" at {worst.at[0]}, {worst.at[1]}" if worst.at else ""
         return f"{number(worst.value.value)}{unit}{at}"
     mean = sum(score.value.value for _, score in scores) / len(scores)
+    if number(mean) == number(worst.value.value):
+        return f"{number(mean)}{unit}"
     return f"{number(mean)}{unit} (worst {number(worst.value.value)}, frame {frame})"

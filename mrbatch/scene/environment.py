@@ -20,6 +20,7 @@ from mrbatch.errors import InputError, Place
 from mrbatch.scene.environment_integrals import EnvironmentIntegrals
 from mrbatch.scene.environment_median_cut import MedianCut, best_cut
 from mrbatch.scene.environment_tables import EnvironmentTables, Interpolation, Rows, build_tables
+from mrbatch.scene.file_kind import unreadable
 
 if TYPE_CHECKING:
     from mrbatch.kernels.environment import EnvironmentData
@@ -248,11 +249,8 @@ def load_environment(
         raise InputError("the environment map does not exist", place=place, hint="check the path in the job")
     image = oiio.ImageInput.open(str(path))
     if image is None:
-        raise InputError(
-            f"the environment map cannot be read ({oiio.geterror() or 'unknown format'})",
-            place=place,
-            hint="give an OpenEXR (.exr) or Radiance (.hdr) file",
-        )
+        oiio.geterror()
+        raise unreadable(path, "an environment map", ("EXR", "HDR"))
     try:
         spec = image.spec()
         if str(spec.format) not in ("half", "float", "double"):
@@ -277,11 +275,8 @@ def load_environment(
         channels = _colour_channels(list(spec.channelnames), place)
         values = image.read_image(0, 0, 0, spec.nchannels, oiio.FLOAT)
         if values is None:
-            raise InputError(
-                f"the environment map cannot be read ({image.geterror()})",
-                place=place,
-                hint="the file may be cut short; copy it again",
-            )
+            image.geterror()
+            raise unreadable(path, "an environment map", ("EXR", "HDR"))
     finally:
         image.close()
 

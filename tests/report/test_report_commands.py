@@ -6,6 +6,7 @@ import json
 import math
 from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -14,7 +15,9 @@ from click.testing import CliRunner
 from mrbatch.cli.metrics import command as metrics
 from mrbatch.cli.report import command as draw
 from mrbatch.errors import InputError
+from mrbatch.report.comparison import CompareSettings, compare
 from mrbatch.report.model import Job, Report, load_report, save_report
+from mrbatch.report.pairs import find_pairs
 
 
 def exr(path, values, **layers):
@@ -112,8 +115,55 @@ def test_folders_with_the_same_names(tmp_path):
     assert states == {7: "done", 8: "failed", 9: "done"}
 
     (tmp_path / "r" / "desk.0009.exr").unlink()
-    result = run(*arguments)
+    result = run(*arguments, "--all")
     assert isinstance(result.exception, InputError) and "desk.0009.exr" in str(result.exception)
+
+
+def test_partial_folders_are_compared_where_both_have_frames(tmp_path):
+    for number in (1, 2, 3):
+        test, reference, _ = pictures(number)
+        exr(tmp_path / "t" / f"desk.{number:04d}.exr", test)
+        if number != 2:
+            exr(tmp_path / "r" / f"desk.{number:04d}.exr", reference)
+    result = run(tmp_path / "t", tmp_path / "r", "--no-flip", "--json", tmp_path / "m.json")
+    assert result.exit_code == 0, result.output
+    report = load_report(tmp_path / "m.json")
+    assert [f.number for f in report.frames] == [1, 3]
+    assert "desk.0002.exr" in report.notes[0].text and "desk.0002.exr" in result.output
+    (tmp_path / "r" / "desk.0001.exr").rename(tmp_path / "r" / "other.0001.exr")
+    (tmp_path / "r" / "desk.0003.exr").unlink()
+    result = run(tmp_path / "t", tmp_path / "r", "--no-flip")
+    assert isinstance(result.exception, InputError) and "share no picture" in str(result.exception)
+    assert "desk.0001.exr" in str(result.exception) and "other.0001.exr" in str(result.exception)
+
+
+def test_previews_are_no_frames(tmp_path):
+    for folder in ("t", "r"):
+        exr(tmp_path / folder / "desk.0001.exr", pictures()[0])
+        for name in ("contact_sheet.png", "desk.0001.png"):
+            (tmp_path / folder / name).write_bytes(b"a preview that nobody reads")
+    result = run(tmp_path / "t", tmp_path / "r", "--no-flip", "--json", tmp_path / "m.json")
+    assert result.exit_code == 0, result.output
+    assert [f.files[0].path for f in load_report(tmp_path / "m.json").frames] == ["desk.0001.exr"]
+    for folder in ("t", "r"):
+        (tmp_path / folder / "desk.0001.exr").unlink()
+        cv2.imwrite(str(tmp_path / folder / "desk.0001.png"), np.full((20, 30, 3), 90, np.uint8))
+    result = run(tmp_path / "t", tmp_path / "r", "--no-flip", "--all", "--json", tmp_path / "m.json")
+    assert result.exit_code == 0, result.output
+    assert [f.files[0].path for f in load_report(tmp_path / "m.json").frames] == ["desk.0001.png"]
+
+
+def test_a_signed_layer_is_drawn_signed(tmp_path):
+    flat = np.zeros((40, 60, 3))
+    change = np.full((40, 60, 3), -0.2)
+    change[:, :30] = 0.1
+    for name, factor in (("a", 1.0), ("b", 0.5)):
+        exr(tmp_path / f"{name}.exr", flat, delta=factor * change)
+    pair = find_pairs(tmp_path / "a.exr", tmp_path / "b.exr")
+    _, images = compare(pair, CompareSettings(layer="delta", flip=False, pictures=True))
+    test, reference = images["a.exr#composite"], images["a.exr#reference"]
+    assert test[0, 0, 0] > 127 > test[0, 59, 0] and reference[0, 0, 0] > 127 > reference[0, 59, 0]
+    assert test[0, 59, 0] == 0 and reference[0, 59, 0] > 0  # one scale for both
 
 
 def test_layer_mask_and_grey_pictures(tmp_path):

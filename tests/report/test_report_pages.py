@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import re
 from html.parser import HTMLParser
 from xml.etree import ElementTree
@@ -179,7 +180,7 @@ def test_pictures_outside_the_folder_are_not_followed(tmp_path):
     page = render_html(report, folder=inside)
     assert page.count("<img") == 1
     assert page.count("lies outside the report") == 3
-    assert "no such picture" in page and "cannot read the picture" in page
+    assert "no such picture" in page and "damaged from the start" in page
 
 
 def test_many_frames_stay_one_small_page():
@@ -297,3 +298,12 @@ def test_scores_of_several_frames_are_their_mean_and_the_worst():
     }
     assert "0.2 (worst 0.3, frame 6)" in render_html(report)
     assert "| relMSE | 0.2 (worst 0.3, frame 6) |" in render_markdown(report)
+
+
+def test_where_all_frames_are_alike_none_is_the_worst():
+    def frame(number, psnr):
+        score = Score(metric="psnr", scope="frame", value=Value(value=psnr, unit="dB"))
+        return Frame(number=number, state="done", scores=(score,))
+
+    alike = Report(job=Job(name="x"), frames=(frame(1, math.inf), frame(2, math.inf)))
+    assert score_table(alike).rows == (("PSNR", ("∞ dB",)),)

@@ -20,6 +20,7 @@ from mrbatch.capture.marker_video.colour import Colour, Picture, VideoTags, deci
 from mrbatch.capture.marker_video.planes import PIXEL_FORMATS, PixelFormat, chroma_of, picture_of, turn_of
 from mrbatch.capture.marker_video.settings import ColourSettings
 from mrbatch.errors import InputError, Place
+from mrbatch.scene.file_kind import EMPTY, TEXT, VIDEOS, file_kind, unreadable
 
 MAX_PIXELS = 2**27
 """A picture that claims more is refused before memory is asked for."""
@@ -93,13 +94,14 @@ def _open(path: Path) -> tuple[Any, Any]:
     place = Place(file=str(path))
     if not path.is_file():
         raise InputError("there is no such video", place=place, hint="check `capture.frames`")
+    if file_kind(path) in (EMPTY, TEXT):
+        # A playlist or subtitles to the demuxer, never footage.
+        raise unreadable(path, "a video", VIDEOS)
     try:
         # Only plain files: a playlist must not lead the demuxer to the network.
         container = av.open(str(path.resolve()), options={"protocol_whitelist": "file"})
-    except (av.error.FFmpegError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"cannot open the video: {_reason(error)}", place=place, hint="is the file complete?"
-        ) from None
+    except (av.error.FFmpegError, UnicodeDecodeError):
+        raise unreadable(path, "a video", VIDEOS) from None
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
         container.close()
