@@ -50,6 +50,13 @@ def command(
         raise JobErrors(errors)
 
 
+_NUMBER_TYPES = {
+    "auto": "half or float, decided when the footage has been looked at (`dtype: auto`)",
+    "half": "half",
+    "float": "float",
+}
+
+
 def _summary(job: Job, path: Path) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -63,7 +70,9 @@ def _summary(job: Job, path: Path) -> None:
         "environment": job.environment.file.name if job.environment else "none",
         "objects": ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "none",
         "method": job.method_name,
-        "output": f"{job.output.directory} ({job.output.dtype}, {', '.join(job.output.layers or ())})",
+        "output": str(job.output.directory),
+        "layers": ", ".join(dict.fromkeys(("composite", *(job.output.layers or ())))),
+        "colour": _NUMBER_TYPES[job.output.dtype],
         "frames": job.frames,
     }
     for name, value in rows.items():

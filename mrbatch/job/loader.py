@@ -17,6 +17,12 @@ from mrbatch.job.messages import dotted, job_errors
 from mrbatch.job.model import Job
 from mrbatch.job.overrides import apply_overrides
 
+_START = """a job begins like this (`mrbatch schema --manual` explains every key):
+    capture: {kind: marker-video, frames: footage.mp4, camera: calibration.yaml, ...}
+    virtual: [{name: bunny, mesh: bunny.ply}]
+    method: {name: delta-path-tracing}
+    output: {directory: out}"""
+
 
 def load_job(
     path: str | os.PathLike[str],
@@ -44,6 +50,8 @@ def parse_job(
 ) -> Job:
     """The job in `text`, as if it stood in `file` (absolute). Raises JobErrors."""
     document = read_document(text, shown or str(file))
+    if document.data in (None, {}):
+        raise JobErrors([JobError("the job is empty", place=Place(file=shown or str(file)), hint=_START)])
     apply_overrides(document, overrides)
     if isinstance(document.data, dict) and "name" not in document.data:
         document.data["name"] = _name_from(file)

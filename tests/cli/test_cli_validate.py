@@ -148,3 +148,20 @@ def test_errors_become_codes(monkeypatch, raised, code, words):
     again = run("info", "--debug")
     assert again.exit_code == code
     assert ("Traceback" in again.stderr) == (code in (3, 5, 70))
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "# later\n", "---\n", "{}\n"])
+def test_an_empty_job_is_told_how_to_start(tmp_path, text):
+    (tmp_path / "job.yaml").write_text(text, encoding="utf-8")
+    result = run("validate", tmp_path / "job.yaml")
+    assert result.exit_code == 2 and "job.yaml: the job is empty" in result.stderr
+    assert "^" not in result.stderr and "capture: {kind:" in result.stderr and "method:" in result.stderr
+    assert result.stderr.count("error:") == 1
+
+
+def test_what_is_not_decided_yet_is_said(job):
+    result = run("validate", job)
+    assert "auto, " not in result.output
+    words = " ".join(result.output.split())
+    assert "colour half or float, decided when the footage has been looked at" in words
+    assert "colour float" in " ".join(run("validate", job, "--set", "output.dtype=float").output.split())

@@ -195,7 +195,7 @@ def test_two_shapes_and_another_error_are_both_shown(sample):
 
 
 def test_missing_parts():
-    errors = errors_of("")
+    errors = errors_of("name: desk")
     assert [e.message for e in errors] == ["`capture` is missing", "`method` is missing"]
     (error,) = errors_of("[1, 2]")
     assert "expected a mapping" in error.message
