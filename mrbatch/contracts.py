@@ -244,16 +244,23 @@ class CaptureKind:
     open: Callable[[Any, Any], "Capture"]
 
 
+class Progress(Protocol):
+    """How far something slow is: `done` of `total` parts of a step; `detail` in words, if there is any."""
+
+    def __call__(self, step: str, done: int, total: int, detail: str = "") -> None: ...
+
+
 class Capture(Protocol):
     """An opened capture: knows its frames, prepares its tables once a shot, gives frames one at a time."""
 
     def frame_numbers(self) -> Sequence[int]:
         """Numbers of all usable frames, in order."""
 
-    def prepare(self) -> Mapping[str, Any]:
+    def prepare(self, progress: Progress) -> Mapping[str, Any]:
         """Sees the whole shot once; gives a JSON-ready table (frame times, poses, gains, ...).
 
         `cuts` in it, if there: numbers of first frames of new scenes, over which no history goes.
+        `absent`, if there: by number (as text) why a frame that belongs to the shot can never be rendered.
         """
 
     def facts(self, table: Mapping[str, Any]) -> Any:

@@ -38,6 +38,17 @@ class Started(Event):
 
 
 @dataclass(frozen=True)
+class Preparing(Event):
+    """Before the run: `done` of `total` parts of a step are through; `detail`: more about it, in words."""
+
+    kind: ClassVar[str] = "prepare"
+    step: str
+    done: int
+    total: int
+    detail: str = ""
+
+
+@dataclass(frozen=True)
 class Note(Event):
     """Something a person should read once, such as a corrupt file that will be rendered again."""
 
@@ -113,7 +124,9 @@ class Prediction(Event):
 
 @dataclass(frozen=True)
 class Done(Event):
-    """The run has ended. `predicted`: seconds said before the first frame was done, or None."""
+    """The run has ended. `seconds` of the whole command, of which the frames took `frame_seconds`;
+    `predicted`: what was said of these before the first frame was done, or None. `message`: what ended
+    it early."""
 
     kind: ClassVar[str] = "done"
     rendered: int
@@ -123,6 +136,16 @@ class Done(Event):
     predicted: float | None
     exit_code: int
     message: str = ""
+    frame_seconds: float | None = None
+
+
+@dataclass(frozen=True)
+class Failed(Event):
+    """There is no run at all: the job or its input cannot be used."""
+
+    kind: ClassVar[str] = "error"
+    message: str
+    exit_code: int
 
 
 EventSink = Callable[[Event], None]

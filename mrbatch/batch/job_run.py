@@ -9,17 +9,28 @@ from pathlib import Path
 from typing import Any
 
 from mrbatch.batch import events as tell
-from mrbatch.batch.job_report import make_report
-from mrbatch.batch.prepare import Prepared, prepare
+from mrbatch.batch.directory import (
+    check_holder,
+    check_strangers,
+    check_writable,
+    frame_path,
+    held_record,
+)
+from mrbatch.batch.job_report import holdings, machine, report_of, versions
+from mrbatch.batch.journal import JournalReader, JournalWriter, RunEntry
+from mrbatch.batch.prepare import Prepared, look_at, open_capture, own_facts, prepare
 from mrbatch.batch.presence import Owner
+from mrbatch.batch.previews import make_previews
 from mrbatch.batch.render import RenderedFrame, ShotRenderer
 from mrbatch.batch.request import RunRequest, RunResult
 from mrbatch.batch.run import run
 from mrbatch.batch.shot import commit_shot
+from mrbatch.batch.stand_in import write_stand_in
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import MrbatchError, worst_exit_code
 from mrbatch.film.exr import verify_frame
 from mrbatch.job import select_frames
+from mrbatch.job.frames import beyond, check_within, includes
 from mrbatch.job.model import Job
 from mrbatch.report.html import write_html
 from mrbatch.report.model import Report, save_report
@@ -29,10 +40,11 @@ REPORT, PAGE = "report.json", "report.html"
 
 @dataclass(frozen=True)
 class JobOutcome:
-    """How a job ended: the run's result, the report, and the exit code of the command."""
+    """How a job ended: the run's result, the report of all that is in the folder (None where it could not be
+    made), and the exit code of the command."""
 
     result: RunResult
-    report: Report
+    report: Report | None
     directory: Path
     exit_code: int
 
@@ -46,42 +58,176 @@ def render_job(
     events: tell.EventSink = tell.ignore,
     stop: threading.Event | None = None,
     report: bool = True,
+    began: float | None = None,
 ) -> JobOutcome:
     """Renders the frames of a job that are not there yet, then previews and report.
 
-    Raises JobError, InputError or ResourceError for what makes the whole job impossible; what happens
-    to single frames stands in the outcome.
+    `began`: when the command did, by `time.perf_counter`. Raises JobError, InputError or ResourceError for
+    what makes the whole job impossible; what happens to single frames stands in the outcome.
     """
+    now = time.perf_counter()
+    began = now if began is None else began
     timing = TimingNode(job.name)
+    timing.child("start").merge(TimingNode("start", now - began, calls=1))
     directory = job.output.directory
+    check_writable(directory)
+    if not overwrite:
+        check_holder(directory, own_facts(job))
     with timing.measure("prepare") as node:
-        prepared = prepare(job, node, directory=None if not directory.is_dir() else directory, write=False)
-    frames = select_frames(job.frames, prepared.shot.frames, place=job.place("frames"))
+        prepared, facts = _prepare(job, node, overwrite, events)
+    for text in prepared.shot.notes:
+        events(tell.Note(text))
+    numbers = sorted({*prepared.shot.frames, *prepared.absent})
+    chosen = select_frames(job.frames, numbers, place=job.place("frames"))
+    if text := beyond(job.frames, numbers):
+        events(tell.Note(text))
     request = RunRequest(
         directory=directory,
         pattern=job.output.pattern,
         job_name=job.name,
         job_hash=prepared.job_hash,
-        frames=frames,
+        frames=tuple(n for n in chosen if n not in prepared.absent),
         overwrite=overwrite,
         on_error=job.on_error,
         history=False,
         segments=prepared.shot.segments,
+        absent={n: error for n, error in prepared.absent.items() if n in chosen},
+        facts=facts,
     )
     forecast = tell.Forecast()
     with _Renderer(prepared, timing, threads, units_per_launch, events, forecast) as render:
         request = render.with_history(request)
-        result = run(request, render, verify_frame, events=events, stop=stop, forecast=forecast)
+        result = run(
+            request,
+            render,
+            verify_frame,
+            events=events,
+            stop=stop,
+            forecast=forecast,
+            hold=write_stand_in,
+            announce_end=False,
+        )
+    return _finish(job, prepared, result, timing, began, events, report)
+
+
+def _prepare(
+    job: Job, timing: TimingNode, overwrite: bool, events: tell.EventSink
+) -> tuple[Prepared, dict[str, Any]]:
+    """The prepared job and what it was made of; refuses what it can before anything slow is done."""
+
+    def progress(step: str, done: int, total: int, detail: str = "") -> None:
+        events(tell.Preparing(step, done, total, detail))
+
+    directory = job.output.directory
+    capture, numbers = open_capture(job, timing)
+    check_within(job.frames, numbers, place=job.place("frames"))
+    if not overwrite and held_record(directory) is None and not JournalReader(directory).frames:
+        chosen = [n for n in numbers if includes(job.frames, n)]
+        check_strangers(frame_path(directory, job.output.pattern, job.name, n) for n in chosen)
+    opened = look_at(job, capture, numbers, timing, progress)
+    if not overwrite:
+        check_holder(directory, opened.facts)
+    there = directory if directory.is_dir() else None
+    prepared = prepare(job, timing, directory=there, opened=opened, progress=progress)
+    rate = prepared.facts.frame_rate
+    facts = {
+        **opened.facts,
+        "key": opened.key,
+        "method": job.method_name,
+        "capture": job.capture_kind,
+        "seed": job.seed,
+        "layers": list(prepared.layers),
+        "transfer": prepared.facts.transfer,
+        "frame_rate": None if rate is None else str(rate),
+    }
+    return prepared, facts
+
+
+def _finish(
+    job: Job,
+    prepared: Prepared,
+    result: RunResult,
+    timing: TimingNode,
+    began: float,
+    events: tell.EventSink,
+    report: bool,
+) -> JobOutcome:
+    """Previews, the run's line in the journal, the report, the last event."""
+    directory = job.output.directory
+    distrusted = set(result.findings.corrupt) - set(result.rendered)
+    notes: list[str] = []
+    made: Report | None = None
     exit_code = result.exit_code
-    made = make_report(job, prepared, request, result, timing, report=report)
-    if report:
-        try:
-            save_report(made, directory / REPORT)
-            write_html(made, directory / PAGE, folder=directory)
-        except MrbatchError as error:
-            exit_code = worst_exit_code([exit_code, error.exit_code])
-            events(tell.Note(f"the report could not be written: {error}"))
+    try:
+        if report and not result.interrupted:
+            held = holdings(directory, prepared.job_hash, JournalReader(directory), distrusted=distrusted)
+            with timing.measure("previews"):
+                notes = make_previews(
+                    directory,
+                    job.name,
+                    [(number, directory / entry.file) for number, entry in held.frames.items()],
+                    job.output.preview,
+                    transfer=prepared.facts.transfer,
+                    rate=prepared.facts.frame_rate,
+                )
+            for text in notes:
+                events(tell.Note(text))
+        seconds = time.perf_counter() - began
+        if result.owner is not None and (result.rendered or result.undone):
+            timing.seconds, timing.calls = seconds, 1
+            _record(directory, _entry(prepared, result, timing, notes), result.owner)
+        made = report_of(directory, prepared.job_hash, distrusted=distrusted)
+        if report and made is not None:
+            _write_report(made, directory)
+    except MrbatchError as error:
+        exit_code = worst_exit_code([exit_code, error.exit_code])
+        events(tell.Note(f"the report could not be written: {error}"))
+    except KeyboardInterrupt:
+        result = replace(result, interrupted=True)
+        exit_code = result.exit_code
+    events(replace(result.last_event(time.perf_counter() - began), exit_code=exit_code))
     return JobOutcome(result, made, directory, exit_code)
+
+
+def _entry(prepared: Prepared, result: RunResult, timing: TimingNode, notes: list[str]) -> RunEntry:
+    tree = timing.as_dict()
+    # The frames' own lines say what they took.
+    tree["children"] = [child for child in tree["children"] if child["name"] != "frames"]
+    return RunEntry(
+        job_hash=prepared.job_hash,
+        seconds=timing.seconds,
+        rendered=len(result.rendered),
+        undone=result.undone,
+        why=result.why_undone,
+        error=str(result.error.message) if result.error else "",
+        hint=(result.error.hint or "") if result.error else "",
+        exit_code=result.exit_code,
+        predicted=result.predicted,
+        timing=tree,
+        machine=machine(),
+        versions=versions(),
+        notes=tuple(notes),
+    )
+
+
+def _record(directory: Path, entry: RunEntry, owner: Owner) -> None:
+    writer = JournalWriter(directory, owner)
+    try:
+        writer.append(entry)
+    finally:
+        writer.close()
+
+
+def _write_report(made: Report, directory: Path) -> None:
+    """Writes it where it differs from the one that is there."""
+    path, page = directory / REPORT, directory / PAGE
+    try:
+        if path.read_text(encoding="utf-8") == made.to_json() and page.is_file():
+            return
+    except (OSError, UnicodeDecodeError):
+        pass
+    save_report(made, path)
+    write_html(made, page, folder=directory)
 
 
 class _Renderer:

@@ -1,5 +1,7 @@
 """The journal: what was finished, one line of JSON a frame, flushed before the next frame begins.
 
+A last line says what the run cost beside its frames and how it ended.
+
 Every process writes a file of its own, `journal/<host>-<pid>-<random>.jsonl`, so that processes on a
 shared folder never interleave; a reader merges them. A line that a power cut tore is passed over and
 counted. Times, hosts and seconds stand here and never in a frame file, whose bytes depend on job,
@@ -13,12 +15,13 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from mrbatch.batch.commit import as_resource_error, flush_folder
 from mrbatch.batch.presence import Owner
+from mrbatch.errors import EXIT_INPUT
 
 FOLDER = "journal"
 
@@ -28,10 +31,12 @@ class FrameEntry:
     """A committed frame.
 
     `file`: relative to the output folder, with forward slashes. `file_hash` of its bytes;
-    `content_hash` as the verifier gave it; `size` in bytes; `seconds` of rendering; `counters` of
-    work; `details`: JSON-ready, from the renderer; `history_hash`: of `history/<frame>.npz`, empty
-    without history; `held_from`: the frame whose picture stands in for this one, with `error`, why.
-    `time`: UTC seconds of the writing machine, to read, never to compare.
+    `content_hash` as the verifier gave it; `size` in bytes; `seconds` of rendering; `write_seconds`: of
+    writing, reading back and flushing; `counters` of work; `details`: JSON-ready, from the renderer;
+    `history_hash`: of `history/<frame>.npz`, empty without history; `held_from`: the frame whose picture
+    stands in for this one, with `error`, why.
+    `run`: name of the run's journal file, without suffix. `time`: UTC seconds of the writing machine, to
+    read, never to judge by.
     """
 
     job_hash: str
@@ -46,6 +51,8 @@ class FrameEntry:
     history_hash: str = ""
     held_from: int | None = None
     error: str = ""
+    write_seconds: float = 0.0
+    run: str = ""
     host: str = ""
     pid: int = 0
     time: float = 0.0
@@ -53,14 +60,52 @@ class FrameEntry:
 
 @dataclass(frozen=True)
 class FailureEntry:
-    """A frame that could not be rendered from its input."""
+    """A frame that could not be rendered from its input. `error`: the whole text; `message` and `hint`: its
+    parts; `exit_code` it stands for."""
 
     job_hash: str
     frame: int
     error: str
+    message: str = ""
+    hint: str = ""
+    exit_code: int = EXIT_INPUT
+    run: str = ""
     host: str = ""
     pid: int = 0
     time: float = 0.0
+
+
+@dataclass(frozen=True)
+class RunEntry:
+    """A run that rendered something or ended early.
+
+    `seconds`: wall time of the whole command. `rendered`: how many frames. `undone`: frames it did not
+    reach, and `why`; `error` and `hint`: what ended it early. `predicted`: seconds said before the first
+    frame. `timing`: the tree of all it did, frames left out (`TimingNode.as_dict`). `machine` and
+    `versions` as the report shows them; `notes` for it.
+    """
+
+    job_hash: str
+    seconds: float
+    rendered: int = 0
+    undone: tuple[int, ...] = ()
+    why: str = ""
+    error: str = ""
+    hint: str = ""
+    exit_code: int = 0
+    predicted: float | None = None
+    timing: Mapping[str, Any] = field(default_factory=dict)
+    machine: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    run: str = ""
+    host: str = ""
+    pid: int = 0
+    time: float = 0.0
+
+
+Entry = FrameEntry | FailureEntry | RunEntry
+_KINDS: dict[type, str] = {FrameEntry: "frame", FailureEntry: "failed", RunEntry: "run"}
 
 
 class JournalWriter:
@@ -72,16 +117,17 @@ class JournalWriter:
         self._file: Any = None
         self._size = 0
 
-    def append(self, entry: FrameEntry | FailureEntry) -> None:
+    def append(self, entry: Entry) -> None:
         """Add one line. Raises ResourceError; the file then ends where it ended before."""
-        record = asdict(entry) | {"host": self.owner.host, "pid": self.owner.pid, "time": time.time()}
-        kind = "frame" if isinstance(entry, FrameEntry) else "failed"
-        line = json.dumps({"kind": kind} | record, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        about = {"run": self.owner.name, "host": self.owner.host, "pid": self.owner.pid, "time": time.time()}
+        record = {"kind": _KINDS[type(entry)]} | asdict(entry) | about
+        line = json.dumps(record, separators=(",", ":"), allow_nan=False).encode() + b"\n"
         try:
             if self._file is None:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 # Unbuffered: a line is never kept back, and a failed write leaves nothing to flush later.
-                self._file = self.path.open("xb", buffering=0)
+                self._file = self.path.open("ab", buffering=0)
+                self._size = self._file.seek(0, os.SEEK_END)
                 flush_folder(self.path.parent)
             written = 0
             while written < len(line):
@@ -106,13 +152,14 @@ class JournalReader:
     """All journal files of a directory, merged. `refresh` reads only what was added since.
 
     `frames[n]`: entries of frame n, those of one file in their order. `failures[n]`: the same of
-    failures. `torn`: lines that could not be read, by file name.
+    failures. `runs`: of runs that ended in order. `torn`: lines that could not be read, by file name.
     """
 
     def __init__(self, directory: Path):
         self.folder = directory / FOLDER
         self.frames: dict[int, list[FrameEntry]] = {}
         self.failures: dict[int, list[FailureEntry]] = {}
+        self.runs: list[RunEntry] = []
         self.torn: dict[str, int] = {}
         self._offsets: dict[str, int] = {}
         self._torn_tails: dict[str, bytes] = {}
@@ -158,6 +205,8 @@ class JournalReader:
             elif kind == "failed":
                 failure = FailureEntry(**_only(FailureEntry, record))
                 self.failures.setdefault(failure.frame, []).append(failure)
+            elif kind == "run":
+                self.runs.append(_run_entry(record))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             self.torn[name] = self.torn.get(name, 0) + 1
 
@@ -171,6 +220,20 @@ def _frame_entry(record: dict[str, Any]) -> FrameEntry:
     if not isinstance(entry.counters, dict) or not isinstance(entry.details, dict):
         raise TypeError("not a frame entry")
     return entry
+
+
+def _run_entry(record: dict[str, Any]) -> RunEntry:
+    """Raises TypeError or ValueError where a field is missing or of another type."""
+    entry = RunEntry(**_only(RunEntry, record))
+    tables = (entry.timing, entry.machine, entry.versions)
+    if not isinstance(entry.job_hash, str) or not all(isinstance(table, dict) for table in tables):
+        raise TypeError("not a run entry")
+    return replace(
+        entry,
+        seconds=float(entry.seconds),
+        undone=tuple(int(frame) for frame in entry.undone),
+        notes=tuple(str(note) for note in entry.notes),
+    )
 
 
 def _only(kind: type, record: dict[str, Any]) -> dict[str, Any]:

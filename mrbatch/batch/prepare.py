@@ -17,7 +17,7 @@ from mrbatch.batch.history import Segment, cut_segments
 from mrbatch.batch.shot import Shot, commit_shot, content_hash, load_shot
 from mrbatch.capture.frame import CaptureFacts, ViewGeometry
 from mrbatch.capture.registry import CAPTURES
-from mrbatch.contracts import Capture, Rule
+from mrbatch.contracts import Capture, Progress, Rule
 from mrbatch.device.rays import resolve_engine
 from mrbatch.device.timing import TimingNode
 from mrbatch.effects.facts import FrameFacts, ShotFacts
@@ -48,11 +48,46 @@ class Prepared:
     layers: tuple[str, ...]
     needs: frozenset[str]
 
+    @property
+    def absent(self) -> dict[int, InputError]:
+        """Frames that belong to the shot and can never be rendered, with the reason."""
+        return {
+            int(number): InputError(str(message), place=Place(frame=int(number)))
+            for number, message in self.shot.table.get("absent", {}).items()
+        }
 
-def input_hashes(files: list[Path], folder: Path) -> dict[str, str]:
+
+@dataclass(frozen=True)
+class Opened:
+    """A job whose files have been looked at, before anything is solved or planned.
+
+    `facts`: what the shot is made of, JSON-ready: `settings` that pixels depend on, `inputs` (content hash by
+    name), `engine` asked for, `version`; `key`: their hash. `numbers`: frames that the capture has.
+    """
+
+    capture: Capture
+    numbers: tuple[int, ...]
+    facts: Mapping[str, Any]
+
+    @property
+    def key(self) -> str:
+        return content_hash(self.facts)
+
+
+def own_facts(job: Job) -> dict[str, Any]:
+    """The part of `Opened.facts` that needs no file."""
+    return {"settings": pixel_relevant(job), "engine": job.engine, "version": __version__}
+
+
+def no_progress(step: str, done: int, total: int, detail: str = "") -> None:
+    """For those who do not listen."""
+
+
+def input_hashes(files: list[Path], folder: Path, progress: Progress = no_progress) -> dict[str, str]:
     """Content hash of every input, by its path relative to the job's folder. Raises InputError."""
     found = {}
-    for path in files:
+    for done, path in enumerate(files):
+        progress("reading inputs", done, len(files))
         try:
             digest = hash_file(path)
         except OSError as error:
@@ -85,35 +120,56 @@ def output_views(
     return display, {name: data_window(job.output, size) for name, size in display.items()}
 
 
+def open_capture(job: Job, timing: TimingNode) -> tuple[Capture, tuple[int, ...]]:
+    """The capture and the numbers of its frames. Raises InputError."""
+    with timing.measure("open"):
+        capture: Capture = CAPTURES.get(job.capture_kind).open(job.capture, job.folder)
+        return capture, tuple(int(n) for n in capture.frame_numbers())
+
+
+def look_at(
+    job: Job,
+    capture: Capture,
+    numbers: tuple[int, ...],
+    timing: TimingNode,
+    progress: Progress = no_progress,
+) -> Opened:
+    """Hashes every input of an opened capture. Raises InputError."""
+    with timing.measure("open"):
+        files = [Path(p) for p in capture.inputs()]
+        files += scene_files(job.environment, job.real, job.virtual)
+    with timing.measure("hash inputs"):
+        found = input_hashes(list(dict.fromkeys(files)), job.folder, progress)
+        inputs = [[name, digest] for name, digest in found.items()]
+    return Opened(capture, numbers, {**own_facts(job), "inputs": inputs})
+
+
 def prepare(
-    job: Job, timing: TimingNode, *, directory: Path | None = None, write: bool = False, owner: str = ""
+    job: Job,
+    timing: TimingNode,
+    *,
+    directory: Path | None = None,
+    write: bool = False,
+    owner: str = "",
+    opened: Opened | None = None,
+    progress: Progress = no_progress,
 ) -> Prepared:
-    """Opens the capture, solves what the whole shot is needed for, and plans.
+    """Opens the capture (unless it is `opened`), solves what the whole shot is needed for, and plans.
 
     With `directory`, a shot that was written there before is taken as it is; with `write`, a new one
     is committed there. Raises InputError for input that cannot be used, ResourceError for an engine that
     is not available.
     """
-    with timing.measure("open"):
-        capture: Capture = CAPTURES.get(job.capture_kind).open(job.capture, job.folder)
-        files = [Path(p) for p in capture.inputs()]
-        files += scene_files(job.environment, job.real, job.virtual)
-    with timing.measure("hash inputs"):
-        key = content_hash(
-            {
-                "job": pixel_relevant(job),
-                "inputs": input_hashes(list(dict.fromkeys(files)), job.folder),
-                "version": __version__,
-                "engine asked": job.engine,
-            }
-        )
+    if opened is None:
+        opened = look_at(job, *open_capture(job, timing), timing, progress)
+    capture, key = opened.capture, opened.key
     with timing.measure("scene"):
         scene = build_scene(job.environment, job.real, job.virtual)
     shot = load_shot(directory, key) if directory else None
     table = shot.table if shot else None
     if table is None:
         with timing.measure("capture"):
-            table = dict(capture.prepare())
+            table = dict(capture.prepare(progress))
     facts: CaptureFacts = capture.facts(table)
     numbers = shot.frames if shot else tuple(int(n) for n in capture.frame_numbers())
     if not numbers:

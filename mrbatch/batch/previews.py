@@ -12,7 +12,6 @@ from mrbatch.errors import MrbatchError
 from mrbatch.film.exr import read_frame
 from mrbatch.film.preview import ContactSheet, MoviePreview, preview_codes, write_picture
 from mrbatch.job.model import Preview
-from mrbatch.report.model import Note, Picture
 
 SHEET, MOVIE = "contact_sheet.png", "preview.mp4"
 DEFAULT_RATE = Fraction(25)
@@ -32,12 +31,13 @@ def make_previews(
     *,
     transfer: str,
     rate: Fraction | None,
-) -> tuple[list[Picture], list[Note]]:
-    """Writes what `wanted` asks for; a preview that cannot be made is a note, never the end of a job."""
-    pictures: list[Picture] = []
-    notes: list[Note] = []
-    if not frames or not (wanted.contact_sheet or wanted.video or wanted.png):
-        return pictures, notes
+) -> list[str]:
+    """Writes what `wanted` asks for, unless it is there and younger than every frame.
+
+    Gives what went wrong, in words: a preview that cannot be made is never the end of a job.
+    """
+    if not frames or not _due(directory, frames, wanted):
+        return []
     sheet = ContactSheet(title)
     try:
         if wanted.video and len(frames) > 1:
@@ -47,10 +47,28 @@ def make_previews(
             _each(frames, wanted, transfer, sheet, None)
         if wanted.contact_sheet:
             sheet.write(directory / SHEET)
-            pictures.append(Picture(role="sheet", path=SHEET, caption=f"{len(frames)} frames"))
     except (MrbatchError, ValueError) as error:
-        notes.append(Note(level="warning", text=f"a preview could not be made: {error}"))
-    return pictures, notes
+        return [f"a preview could not be made: {error}"]
+    return []
+
+
+def _due(directory: Path, frames: Sequence[tuple[int, Path]], wanted: Preview) -> bool:
+    """Whether a preview that is asked for is absent or older than a frame, by one file system's time."""
+    pairs: list[tuple[Path, Sequence[Path]]] = []
+    paths = [path for _, path in frames]
+    if wanted.contact_sheet:
+        pairs.append((directory / SHEET, paths))
+    if wanted.video and len(frames) > 1:
+        pairs.append((directory / MOVIE, paths))
+    if wanted.png:
+        pairs += [(path.with_suffix(".png"), [path]) for path in paths]
+    try:
+        return any(
+            not made.is_file() or made.stat().st_mtime_ns < max(p.stat().st_mtime_ns for p in sources)
+            for made, sources in pairs
+        )
+    except OSError:
+        return True
 
 
 def _each(

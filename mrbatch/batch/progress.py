@@ -13,6 +13,8 @@ from typing import IO, Literal
 from mrbatch.batch import events as tell
 
 Mode = Literal["auto", "bar", "plain", "json", "none"]
+REDRAWS_PER_SECOND = 4
+"""Of the bar; more only fills a recorded terminal."""
 
 
 @contextlib.contextmanager
@@ -61,13 +63,14 @@ class PlainLines:
         self._clock = clock
         self._total = 0
         self._done = 0
-        self._told = float("-inf")
+        # The time left is told at once, preparing only where it takes long.
+        self._told: dict[type[tell.Event], float] = {tell.Preparing: clock()}
 
     def __call__(self, event: tell.Event) -> None:
         match event:
             case tell.Started():
                 self._total = event.frames
-                self._line(f"{event.job}: {event.frames} frames to `{event.directory}`")
+                self._line(f"{event.job}: {counted(event.frames, 'frame')} to `{event.directory}`")
                 if event.found:
                     self._line(event.found)
             case tell.FrameKept():
@@ -76,14 +79,19 @@ class PlainLines:
                 self._done += 1
                 self._line(f"frame {event.frame} done in {event.seconds:.2f} s ({self._done}/{self._total})")
             case tell.Prediction():
-                now = self._clock()
-                if now - self._told >= self.QUIET:
-                    self._told = now
-                    self._line(prediction_text(event))
+                self._now_and_then(event, prediction_text(event))
+            case tell.Preparing():
+                self._now_and_then(event, f"{_step(event)}: {event.done} of {event.total}")
             case _:
                 text = event_text(event)
                 if text:
                     self._line(text)
+
+    def _now_and_then(self, event: tell.Event, text: str) -> None:
+        now = self._clock()
+        if now - self._told.get(type(event), float("-inf")) >= self.QUIET:
+            self._told[type(event)] = now
+            self._line(text)
 
     def _line(self, text: str) -> None:
         self._stream.write(text + "\n")
@@ -93,6 +101,8 @@ class PlainLines:
 def event_text(event: tell.Event) -> str:
     """Words for the rarer events; empty for those that need none."""
     match event:
+        case tell.Failed():
+            return ""  # told as the command's error
         case tell.Note():
             return (f"frame {event.frame}: " if event.frame is not None else "") + event.message
         case tell.FrameFailed():
@@ -104,12 +114,23 @@ def event_text(event: tell.Event) -> str:
             return f"waiting: {event.frames} {frames} with {event.holder or 'other processes'}"
         case tell.Done():
             parts = [f"{event.rendered} rendered", f"{event.kept} kept", f"{event.failed} failed"]
-            parts = [part for part in parts if not part.startswith("0 ")] or ["nothing to do"]
-            text = f"{', '.join(parts)} in {event.seconds:.1f} s"
-            if event.predicted is not None and event.rendered:
-                text += f" (predicted {event.predicted:.1f} s)"
+            parts = [part for part in parts if not part.startswith("0 ")]
+            if event.exit_code == 0 and not parts:
+                parts = ["nothing to do"]
+            text = f"{', '.join(parts) or 'ended'} in {event.seconds:.1f} s"
+            if event.predicted is not None and event.rendered and event.frame_seconds is not None:
+                text += f" (frames: {event.frame_seconds:.1f} s, predicted {event.predicted:.1f} s)"
             return text
     return ""
+
+
+def _step(event: tell.Preparing) -> str:
+    return f"{event.step}, {event.detail}" if event.detail else event.step
+
+
+def counted(count: int, noun: str) -> str:
+    """`1 frame`, `2 frames`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def prediction_text(event: tell.Prediction) -> str:
@@ -137,6 +158,7 @@ def _bar(stream: IO[str]) -> Iterator[tell.EventSink]:
         TimeElapsedColumn(),
         TextColumn("{task.fields[left]}"),
         console=console,
+        refresh_per_second=REDRAWS_PER_SECOND,
         # The terminal belongs to the person; the output of other libraries is not captured.
         redirect_stdout=False,
         redirect_stderr=False,
@@ -150,8 +172,10 @@ def _bar(stream: IO[str]) -> Iterator[tell.EventSink]:
     def sink(event: tell.Event) -> None:
         nonlocal done
         match event:
+            case tell.Preparing():
+                bar.update(task, total=event.total, completed=event.done, description=escape(_step(event)))
             case tell.Started():
-                bar.update(task, total=event.frames, description=escape(event.job))
+                bar.update(task, total=event.frames, completed=0, description=escape(event.job))
                 if event.found:
                     say(event.found)
             case tell.FrameStarted():

@@ -16,7 +16,8 @@ from pathlib import Path
 from mrbatch.batch import events as tell
 from mrbatch.batch.claim import Claims
 from mrbatch.batch.commit import Staged, as_resource_error, leftovers, resource_reason, stage_file
-from mrbatch.batch.directory import held_hash, hold, sweep
+from mrbatch.batch.directory import held_hash, sweep
+from mrbatch.batch.directory import hold as take_hold
 from mrbatch.batch.history import FOLDER as HISTORY_FOLDER
 from mrbatch.batch.history import Chain, State, own_state, stage_state
 from mrbatch.batch.interrupt import interrupts
@@ -24,7 +25,16 @@ from mrbatch.batch.inventory import Findings, Inventory
 from mrbatch.batch.journal import FailureEntry, FrameEntry, JournalReader, JournalWriter
 from mrbatch.batch.presence import FOLDER as CLAIMS_FOLDER
 from mrbatch.batch.presence import STALE_AFTER, Owner, Presence
-from mrbatch.batch.request import FailedFrame, FrameResult, Render, RunRequest, RunResult, Stopped, Verify
+from mrbatch.batch.request import (
+    FailedFrame,
+    FrameResult,
+    Hold,
+    Render,
+    RunRequest,
+    RunResult,
+    Stopped,
+    Verify,
+)
 from mrbatch.errors import InputError, JobError, MrbatchError, Place
 
 
@@ -39,6 +49,8 @@ def run(
     forecast: tell.Forecast | None = None,
     stale_after: float = STALE_AFTER,
     poll: float = 0.5,
+    hold: Hold | None = None,
+    announce_end: bool = True,
 ) -> RunResult:
     """Render the frames of `request` that are not there yet.
 
@@ -47,6 +59,7 @@ def run(
     (looked at every `poll` seconds) and taken over where their process died (other machines: no sign
     of life for `stale_after` seconds). `stop` ends the run at the next chance. `expected_seconds` a
     frame is the prediction until the first is done; or give a `forecast`, which the renderer may feed.
+    `hold` makes the file of a stand-in (by default a copy). `announce_end`: whether the run tells `Done`.
 
     Raises JobError where the folder belongs to another job, ResourceError where it cannot be written
     at all. What goes wrong later stands in the result, so that the report can be written.
@@ -71,6 +84,8 @@ def run(
         with Presence(request.directory, owner, request.job_hash, stale_after=stale_after) as presence:
             work = _Run(request, render, verify, presence, events, stop or threading.Event(), poll)
             work.forecast = forecast or tell.Forecast(expected_seconds)
+            work.hold = hold or _copy
+            work.announce_end = announce_end
             return work.run()
     except JobError:
         # A folder that belongs to somebody else is left as it was.
@@ -100,6 +115,8 @@ class _Run:
         self.stop = stop
         self.poll = poll
         self.forecast = tell.Forecast()
+        self.hold: Hold = _copy
+        self.announce_end = True
         self.claims = Claims(presence)
         self.journal = JournalReader(request.directory)
         self.writer = JournalWriter(request.directory, presence.owner)
@@ -123,7 +140,7 @@ class _Run:
     def run(self) -> RunResult:
         began = time.monotonic()
         request = self.request
-        hold(
+        take_hold(
             request.directory,
             job_name=request.job_name,
             job_hash=request.job_hash,
@@ -132,6 +149,7 @@ class _Run:
             overwrite=request.overwrite,
             presence=self.presence,
             journal=self.journal,
+            facts=request.facts,
         )
         error: MrbatchError | None = None
         interrupted = False
@@ -143,6 +161,8 @@ class _Run:
                     raise as_resource_error(refused, folder) from refused
             self._look()
             self._announce()
+            for frame, absence in request.absent.items():
+                self._note_failure(frame, absence)
             self._work()
             if request.on_error == "hold-last":
                 self._hold_last()
@@ -171,18 +191,10 @@ class _Run:
             interrupted=interrupted,
             seconds=time.monotonic() - began,
             predicted=self.forecast.first,
+            owner=self.owner,
         )
-        self._tell(
-            tell.Done(
-                len(result.rendered),
-                len(result.kept),
-                len(result.failed),
-                result.seconds,
-                result.predicted,
-                result.exit_code,
-                str(error) if error else "",
-            )
-        )
+        if self.announce_end:
+            self._tell(result.last_event(result.seconds))
         return result
 
     # --- what is there already -------------------------------------------------------------------
@@ -258,6 +270,7 @@ class _Run:
                 self.pending.remove(frame)
                 advanced, waiting = True, False
                 if frame in self.failed and self.request.on_error == "stop":
+                    self._tell_stop(frame)
                     return
                 self._predict()
             if self.pending and not advanced:
@@ -294,8 +307,10 @@ class _Run:
     def _commit(self, frame: int, result: FrameResult) -> None:
         request = self.request
         path = request.path(frame)
+        began = time.perf_counter()
         with contextlib.ExitStack() as undo:
             picture = _undone_by(undo, stage_file(path, result.write, self.verify, self.owner.name))
+            written = time.perf_counter() - began
             state = None
             history: Staged | None = None
             if request.history:
@@ -316,6 +331,7 @@ class _Run:
                     seconds=float(result.seconds),
                     counters={name: int(count) for name, count in result.counters.items()},
                     details=dict(result.details),
+                    write_seconds=written,
                     history_hash=history_hash,
                 )
                 self.writer.append(entry)
@@ -324,13 +340,28 @@ class _Run:
         self.chain.remember(frame, state)
 
     def _fail(self, frame: int, error: InputError, state: State | None) -> None:
+        # A broken frame hands on the state that it got.
+        self.chain.remember(frame, state)
+        self._note_failure(frame, error)
+
+    def _note_failure(self, frame: int, error: InputError) -> None:
         place = error.place or Place()
         error.place = place if place.frame is not None else replace(place, frame=frame)
         self.failed[frame] = FailedFrame(frame, error)
-        # A broken frame hands on the state that it got.
-        self.chain.remember(frame, state)
-        self.writer.append(FailureEntry(self.request.job_hash, frame, str(error)))
-        self._tell(tell.FrameFailed(frame, str(error)))
+        job_hash, text = self.request.job_hash, str(error)
+        known = self.journal.failures.get(frame, ())
+        # A frame that fails again as it did before is no news.
+        if not any(entry.job_hash == job_hash and entry.error == text for entry in known):
+            self.writer.append(
+                FailureEntry(job_hash, frame, text, error.message, error.hint or "", error.exit_code)
+            )
+        self._tell(tell.FrameFailed(frame, text))
+
+    def _tell_stop(self, frame: int) -> None:
+        count = len(self.pending)
+        if count:
+            were = "1 frame was" if count == 1 else f"{count} frames were"
+            self._tell(tell.Note(f"the run stops here: {were} not tried (see `on_error`)", frame))
 
     def _hold_last(self) -> None:
         """Give each failed frame a copy of the nearest earlier finished one, at the end of the run."""
@@ -346,25 +377,27 @@ class _Run:
                 self._tell(tell.Note("no earlier frame to hold: the frame is missing", frame))
 
     def _hold_from(self, frame: int, source: FrameEntry) -> None:
-        """Copy the file of `source` to `frame` and record it as a stand-in."""
+        """Have the picture of `source` stand in for `frame`, and record that."""
         request = self.request
         failed = self.failed[frame]
 
-        def copy(path: Path) -> None:
-            shutil.copyfile(request.directory / source.file, path)
+        def write(path: Path) -> None:
+            self.hold(request.directory / source.file, path, frame, source.frame)
 
         with contextlib.ExitStack() as undo:
-            picture = _undone_by(undo, stage_file(request.path(frame), copy, None, self.owner.name))
-            if picture.result.file_hash != source.file_hash:
-                return
+            picture = _undone_by(undo, stage_file(request.path(frame), write, self.verify, self.owner.name))
             self._check_hold()
             with interrupts.shielded():
-                picture.publish()
+                done = picture.publish()
                 entry = replace(
                     source,
                     frame=frame,
                     file=self.inventory.relative(frame),
+                    file_hash=done.file_hash,
+                    content_hash=done.content_hash,
+                    size=done.size,
                     seconds=0.0,
+                    write_seconds=0.0,
                     counters={},
                     history_hash="",
                     held_from=source.frame,
@@ -414,6 +447,10 @@ class _Run:
         except Exception:
             # Who listens must not cost a frame.
             self._events = tell.ignore
+
+
+def _copy(source: Path, target: Path, frame: int, held_from: int) -> None:
+    shutil.copyfile(source, target)
 
 
 def _undone_by(undo: contextlib.ExitStack, staged: Staged) -> Staged:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mrbatch.errors import JobError
+
+if TYPE_CHECKING:
+    from mrbatch.job.overrides import Override
 
 _OPTIONS = (
     click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Change a value: `seed=3`."),
@@ -54,26 +57,24 @@ def load(
     """The job with all options applied; its files are looked for too. Raises JobErrors."""
     from mrbatch.job import check_files, load_job
 
-    changes = list(overrides)
-    if frames is not None:
-        changes.append(f"frames={frames}")
-    if crop is not None:
-        changes.append(f"output.crop=[{crop}]")
-    if scale is not None:
-        changes.append(f"output.scale={scale}")
-    if overscan is not None:
-        changes.append(f"output.overscan={overscan}")
-    if layers is not None:
-        changes.append(f"output.layers=[{layers}]")
-    if output is not None:
-        changes.append(f"output.directory={output.absolute().as_posix()}")
-    if seed is not None:
-        changes.append(f"seed={seed}")
+    changes: list[Override] = list(overrides)
+
+    def change(option: str, given: object, text: str) -> None:
+        if given is not None:
+            changes.append((f"--{option} {given}", text))
+
+    change("frames", frames, f"frames={frames}")
+    change("crop", crop, f"output.crop=[{crop}]")
+    change("scale", scale, f"output.scale={scale}")
+    change("overscan", overscan, f"output.overscan={overscan}")
+    change("layers", layers, f"output.layers=[{layers}]")
+    change("output", output, f"output.directory={output.absolute().as_posix() if output else ''}")
+    change("seed", seed, f"seed={seed}")
     for part in filter(None, (force or "").split(",")):
         word, colon, name = part.strip().partition(":")
         if not colon or word not in ("on", "off") or not name:
             raise JobError(f"cannot read --force `{part}`", hint="write `on:NAME` or `off:NAME`, by commas")
-        changes.append(f'effects.{name}="{word}"')
+        change("force", part.strip(), f'effects.{name}="{word}"')
     job = load_job(path, changes, confine=confine)
     check_files(job)
     return job

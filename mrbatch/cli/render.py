@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mrbatch.cli.job_options import job_options, load
+
+if TYPE_CHECKING:
+    from mrbatch.batch.request import RunResult
+
+SHOWN = 10
+"""Failed frames that are named on the screen; the report has all."""
 
 
 @click.command("render")
@@ -32,27 +38,54 @@ def command(
     frames failed, the others are there; 5: out of disk, memory or rights; 130: interrupted.
     """
     import threading
+    import time
 
     from mrbatch.batch.interrupt import interrupts
     from mrbatch.batch.progress import progress
+    from mrbatch.errors import MrbatchError
 
-    settled = load(job, **options)
+    began = time.perf_counter()
     stop = threading.Event()
     with interrupts.caught(stop), progress(mode) as events:
         from mrbatch.batch import events as tell
-        from mrbatch.batch.job_run import PAGE, render_job
 
-        events(tell.Note("reading the capture"))
-        outcome = render_job(
-            settled, threads=threads, overwrite=overwrite, events=events, stop=stop, report=not no_report
-        )
-    if outcome.result.error is not None:
-        raise outcome.result.error
-    if mode != "json" and mode != "none":
-        n = len(outcome.result.rendered) + len(outcome.result.kept)
-        click.echo(f"{n} of {len(outcome.report.frames)} frames in {outcome.directory}", err=True)
-        for broken in outcome.result.failed:
-            click.echo(f"error: {broken.error}", err=True)
-        if not no_report:
-            click.echo(f"report: {outcome.directory / PAGE}", err=True)
+        try:
+            settled = load(job, **options)
+            events(tell.Note("reading the capture"))
+            from mrbatch.batch.job_run import PAGE, render_job
+
+            outcome = render_job(
+                settled,
+                threads=threads,
+                overwrite=overwrite,
+                events=events,
+                stop=stop,
+                report=not no_report,
+                began=began,
+            )
+        except MrbatchError as error:
+            events(tell.Failed(str(error), error.exit_code))
+            raise
+    result = outcome.result
+    if mode not in ("json", "none"):
+        _conclude(result, outcome.directory, None if no_report else outcome.directory / PAGE)
+    if result.error is not None:
+        raise result.error
     return outcome.exit_code
+
+
+def _conclude(result: RunResult, directory: Path, page: Path | None) -> None:
+    """What a person looks for last: how many frames are where, what failed, where the report is."""
+    there = len(result.rendered) + len(result.kept)
+    asked = there + len(result.failed) + len(result.undone)
+    if result.interrupted:
+        words = f"interrupted: the same command goes on; {there} of {asked} frames are there"
+        click.echo(words, err=True)
+        return
+    click.echo(f"{there} of {asked} {'frame' if asked == 1 else 'frames'} in {directory}", err=True)
+    for broken in result.failed[:SHOWN]:
+        click.echo(f"error: {broken.error}", err=True)
+    if len(result.failed) > SHOWN:
+        click.echo(f"and {len(result.failed) - SHOWN} more frames that failed", err=True)
+    if page is not None and page.is_file():
+        click.echo(f"report: {page}", err=True)

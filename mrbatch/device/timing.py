@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass
@@ -72,6 +73,22 @@ class TimingNode:
             "counters": dict(sorted(self.counters.items())),
             "children": [node.as_dict() for node in self.children.values()],
         }
+
+
+def timing_from_dict(data: Mapping[str, Any]) -> TimingNode:
+    """The tree that `as_dict` described. Raises KeyError, TypeError or ValueError for anything else."""
+    node = TimingNode(
+        str(data["name"]),
+        float(data["seconds"]),
+        float(data["thread_seconds"]),
+        int(data["calls"]),
+        int(data["launches"]),
+        {str(name): int(count) for name, count in dict(data["counters"]).items()},
+    )
+    for child in data["children"]:
+        made = timing_from_dict(child)
+        node.children[made.name] = made
+    return node
 
 
 class ThreadClock:

@@ -15,7 +15,7 @@ from mrbatch.job.choice import Loc
 from mrbatch.job.document import MAX_BYTES, Document, read_document, shorten
 from mrbatch.job.messages import dotted, job_errors
 from mrbatch.job.model import Job
-from mrbatch.job.overrides import apply_overrides
+from mrbatch.job.overrides import Override, apply_overrides
 
 _START = """a job begins like this (`mrbatch schema --manual` explains every key):
     capture: {kind: marker-video, frames: footage.mp4, camera: calibration.yaml, ...}
@@ -26,7 +26,7 @@ _START = """a job begins like this (`mrbatch schema --manual` explains every key
 
 def load_job(
     path: str | os.PathLike[str],
-    overrides: Sequence[str] = (),
+    overrides: Sequence[Override] = (),
     *,
     confine: str | os.PathLike[str] | None = None,
 ) -> Job:
@@ -43,7 +43,7 @@ def load_job(
 def parse_job(
     text: str,
     file: Path,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[Override] = (),
     *,
     confine: str | os.PathLike[str] | None = None,
     shown: str | None = None,

@@ -13,13 +13,17 @@ from typing import Any
 from mrbatch.errors import JobError, JobErrors, MrbatchError, Place
 from mrbatch.job.document import Document, Loc, read_document, shorten
 
+Override = str | tuple[str, str]
+"""`key.key=value`; or that with how the user wrote it before, such as `("--frames 1-3", "frames=1-3")`."""
 
-def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
+
+def apply_overrides(document: Document, overrides: Sequence[Override]) -> None:
     """Changes `document` in place, in order. Raises JobErrors with all that cannot be applied."""
     errors: list[MrbatchError] = []
     for override in overrides:
+        written, change = (f"--set {override}", override) if isinstance(override, str) else override
         try:
-            _apply(document, override)
+            _apply(document, change, Place(file=shorten(written, 126)))
         except JobErrors as several:
             errors.extend(several.errors)
         except JobError as error:
@@ -28,8 +32,7 @@ def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
         raise JobErrors(errors)
 
 
-def _apply(document: Document, override: str) -> None:
-    place = Place(file=f"--set {shorten(override, 120)}")
+def _apply(document: Document, override: str, place: Place) -> None:
     path, equals, text = override.partition("=")
     keys = [key.strip() for key in path.split(".")]
     if not equals or not all(keys):

@@ -19,7 +19,7 @@ from mrbatch.contracts import State
 from mrbatch.errors import InputError, Place, ResourceError
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 0
+SCHEMA_MINOR = 1
 SCHEMA = f"{SCHEMA_MAJOR}.{SCHEMA_MINOR}"
 """Major: what a name means has changed. Minor: names were added, which older readers leave out."""
 MAX_BYTES = 1 << 28
@@ -122,8 +122,23 @@ class TimingNode(_Model):
     children: tuple[TimingNode, ...] = ()
 
 
+class Run(_Model):
+    """One run of the job's command: wall `seconds` from start to end, `frames` it rendered, and what ended
+    it early, if anything did."""
+
+    created: str = ""
+    seconds: Value
+    frames: int = 0
+    predicted_seconds: Value | None = None
+    exit: int = 0
+    message: str = ""
+
+
 class Totals(_Model):
+    """`seconds`: wall time of all runs added up; `frame_seconds`: what the frames that are there took."""
+
     seconds: Value | None = None
+    frame_seconds: Value | None = None
     predicted_seconds: Value | None = None
     frames_done: int = 0
     frames_kept: int = 0
@@ -195,6 +210,8 @@ class Report(_Model):
     frames: tuple[Frame, ...] = ()
     timing: TimingNode | None = None
     totals: Totals = Totals()
+    runs: tuple[Run, ...] = ()
+    """Those that rendered something or ended early, in the order of their ends."""
     notes: tuple[Note, ...] = ()
     pictures: tuple[Picture, ...] = ()
     gates: tuple[Gate, ...] = ()

@@ -25,7 +25,7 @@ STORY = [
     tell.FrameFailed(3, "marker never seen"),
     tell.FrameFailed(3, "marker never seen", 2),
     tell.Waiting(1, "host-12-ab"),
-    tell.Done(1, 1, 1, 14.2, 30.0, 4),
+    tell.Done(1, 1, 1, 14.2, 30.0, 4, frame_seconds=13.0),
 ]
 
 
@@ -60,7 +60,7 @@ def test_plain_lines_say_what_a_log_should_say():
         "frame 3 failed: marker never seen",
         "frame 3: shows frame 2 instead",
         "waiting: 1 frame is with host-12-ab",
-        "1 rendered, 1 kept, 1 failed in 14.2 s (predicted 30.0 s)",
+        "1 rendered, 1 kept, 1 failed in 14.2 s (frames: 13.0 s, predicted 30.0 s)",
     ]
 
 

@@ -17,7 +17,7 @@ from mrbatch.batch.prepare import prepare
 from mrbatch.batch.shot import from_dict
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import InputError, ResourceError
-from mrbatch.film.exr import read_frame
+from mrbatch.film.exr import read_frame, write_frame
 from mrbatch.job import load_job
 
 
@@ -101,11 +101,26 @@ def test_motion_goes_to_the_next_frame_that_is_known(tmp_path, monkeypatch):
     assert max(most("lost")) < 1e-2
 
 
+def test_a_stand_in_differs_in_its_numbers_alone(tmp_path):
+    """What is read and written again without another number is the same file."""
+    path = write_job(tmp_path, (0,), output={"directory": "out", "dtype": "float", "owner": "me"})
+    render(path, "output.layers=[virtual,depth,crypto_object,motion,samples]")
+    source = tmp_path / "out" / "small.0000.exr"
+    write_frame(tmp_path / "again.exr", read_frame(source))
+    assert (tmp_path / "again.exr").read_bytes() == source.read_bytes()
+
+
 def test_hold_last_shows_the_frame_before(tmp_path):
+    """Its pixels, under a number of its own and with the number of the frame it was held from."""
     path = write_job(tmp_path, (0, 1, 2), on_error="hold-last")
     picture = tmp_path / "photo_0001.png"
     picture.write_bytes(picture.read_bytes()[:300])
     outcome = render(path)
     assert outcome.exit_code == 4
-    made = frames_in(tmp_path / "out")
-    assert made["small.0001.exr"] == made["small.0000.exr"] != made["small.0002.exr"]
+    first, held, last = (read_frame(tmp_path / "out" / f"small.{n:04d}.exr") for n in range(3))
+    for name, values in first.views[""].channels.items():
+        assert np.array_equal(held.views[""].channels[name], values)
+    assert not np.array_equal(held.views[""].channels["R"], last.views[""].channels["R"])
+    assert (held.number, held.metadata["held_from"]) == (1, 0)
+    assert dict(held.metadata) == {**first.metadata, "held_from": 0}
+    assert render(path).result.findings.stand_ins == (1,)

@@ -137,7 +137,10 @@ def test_missing_numbers_are_noted(shot):
     (shot / "p_0004.png").unlink()
     _, table = prepared(shot)
     assert table["missing"] == [4]
-    assert "1 frames are missing in the sequence: 4" in table["notes"]
+    assert list(table["absent"]) == ["4"]
+    assert "missing in the footage: 1 frame (4)" in table["notes"]
+    _, table = prepared(shot, subset={"last": 3})
+    assert table["missing"] == []
 
 
 def test_world_from_marker_moves_the_cameras(shot):
@@ -180,7 +183,7 @@ def test_poses_are_solved_from_pictures(shot):
     """The solver gets every picture once, in order, as 16-bit grey codes, and the job's policy."""
     seen = []
 
-    def solve(frames, calibration, target, *, lost):
+    def solve(frames, calibration, target, *, lost, progress):
         rows = []
         for number, time, load in frames:
             grey = load()
@@ -201,6 +204,7 @@ def test_poses_are_solved_from_pictures(shot):
     capture, table = prepared(shot, solve, poses=None, target=TARGET, lost="skip")
     assert [n for n, _ in seen] == list(range(8))
     assert table["frames"] == [0, 1, 3, 4, 5, 6, 7]
+    assert list(table["absent"]) == ["2"] and "pose" in table["absent"]["2"]
     assert table["pose_report"]["median_rms_px"] == 0.1
 
 
@@ -208,7 +212,7 @@ def test_a_broken_picture_costs_its_frame_only(shot):
     data = (shot / "p_0005.png").read_bytes()
     (shot / "p_0005.png").write_bytes(data[: len(data) // 2])
 
-    def solve(frames, calibration, target, *, lost):
+    def solve(frames, calibration, target, *, lost, progress):
         rows = tuple(FramePose(n, t, pose(n)) for n, t, load in frames if load() is not None)
         return SimpleNamespace(frames=rows, median_rms=0.1, noise=1.0, layout=None, as_json=list)
 

@@ -67,7 +67,8 @@ def test_a_video_that_is_none(job, tmp_path):
 
 @pytest.mark.parametrize("broken", [0, 1, 2])
 def test_one_unreadable_frame_among_good_ones(tmp_path, broken):
-    """Skipped, the others are there, code 4; by default the run stops at it, and what was finished stays."""
+    """Skipped, the others are there, code 4; by default the run stops at it, and what was finished stays:
+    code 4 too, or 3 where that is nothing."""
     job = write_job(tmp_path, (0, 1, 2))
     picture = tmp_path / f"photo_{broken:04d}.png"
     picture.write_bytes(picture.read_bytes()[:200])
@@ -77,7 +78,7 @@ def test_one_unreadable_frame_among_good_ones(tmp_path, broken):
     there = sorted(p.name for p in (tmp_path / "skipped").glob("*.exr"))
     assert there == [f"small.{n:04d}.exr" for n in range(3) if n != broken]
     result = render(job, "--output", tmp_path / "stopped")
-    assert result.exit_code in (3, 4), result.stderr
+    assert result.exit_code == (4 if broken else 3), result.stderr
     assert len(list((tmp_path / "stopped").glob("*.exr"))) == broken
 
 
@@ -221,7 +222,37 @@ def test_wrong_jobs(job, parts, words):
 
 def test_frames_that_are_not_there(job):
     text = told(render(job, "--frames", "7"), 2)
-    assert "there are no frames 7" in text and "0 to 1" in text
+    assert "--frames 7: there are no frames 7" in text and "0 to 1" in text
+
+
+def test_options_are_called_as_they_were_typed(job):
+    assert "--layers virtul: " in told(render(job, "--layers", "virtul"), 2)
+    assert "--frames 3-1: " in told(render(job, "--frames", "3-1"), 2)
+    assert "--scale big: " in told(render(job, "--scale", "big"), 2)
+
+
+def test_what_can_be_refused_is_refused_before_anything_slow(job, tmp_path, monkeypatch):
+    from mrbatch.batch import prepare
+
+    assert render(job).exit_code == 0
+
+    def slow(*_: object, **__: object) -> None:
+        pytest.fail("something slow was begun")
+
+    monkeypatch.setattr(prepare, "build_scene", slow)
+    monkeypatch.setattr(prepare, "_plan", slow)
+    picture = tmp_path / "photo_0001.png"
+    picture.write_bytes((tmp_path / "photo_0000.png").read_bytes())
+    text = told(render(job), 2)
+    assert "photo_0001.png: its content has changed" in text
+    monkeypatch.setattr(prepare, "hash_file", slow)
+    text = told(render(job, "--seed", 7, "--set", "method.spp=8"), 2)
+    assert "seed: 0 -> 7" in text and "method.spp: 4 -> 8" in text and "sha256" not in text
+    assert "--overwrite" in text
+    assert "there are no frames 99" in told(render(job, "--frames", 99), 2)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "small.0001.exr").write_bytes(b"somebody's own")
+    assert "there already" in told(render(job, "--output", tmp_path / "mine"), 2)
 
 
 def test_a_crop_that_leaves_the_picture(job):

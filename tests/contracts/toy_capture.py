@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from mrbatch.capture.frame import CaptureFacts, FrameData, ViewData, ViewGeometry
-from mrbatch.contracts import CaptureKind
+from mrbatch.contracts import CaptureKind, Progress
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import to_linear
 from mrbatch.quantities import Settings
@@ -42,7 +42,7 @@ class ToyCapture:
     def frame_numbers(self) -> Sequence[int]:
         return range(self.settings.first, self.settings.first + self.settings.count)
 
-    def prepare(self) -> Mapping[str, Any]:
+    def prepare(self, progress: Progress) -> Mapping[str, Any]:
         return {"cuts": list(self.settings.cuts)}
 
     def facts(self, table: Mapping[str, Any]) -> CaptureFacts:

@@ -20,6 +20,7 @@ from mrbatch.capture.marker_video.gain import Gain, load_gains, patch_gain
 from mrbatch.capture.marker_video.matte import Mattes
 from mrbatch.capture.marker_video.pose_file import load_poses
 from mrbatch.capture.marker_video.settings import CameraSettings, MarkerVideoSettings
+from mrbatch.contracts import Progress
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import from_linear
 from mrbatch.scene.camera import Camera
@@ -50,6 +51,10 @@ def grey_codes_of(linear: np.ndarray, floating: bool) -> np.ndarray:
     r, g, b = (linear[..., c] * _LUMINANCE[c] for c in range(3))
     luminance = r + g + b
     return luminance if floating else from_linear(luminance, "srgb", 16)
+
+
+def no_progress(step: str, done: int, total: int, detail: str = "") -> None:
+    """For those who do not listen."""
 
 
 class MarkerVideoCapture:
@@ -111,12 +116,13 @@ class MarkerVideoCapture:
             paths += [self._mattes.path(n) for n in numbers if n in self._mattes.sequence.numbers]
         return paths
 
-    def prepare(self) -> Mapping[str, Any]:
+    def prepare(self, progress: Progress = no_progress) -> Mapping[str, Any]:
         """Sees the shot once. Raises InputError: what no frame can be rendered without.
 
         Keys: `frames` (numbers with a pose, and broken ones), `times` (s, float, one for each),
         `footage` (how it is read), `camera`, `poses` (world_from_camera by number), `gains`, `flags`,
-        `broken` (message by number), `missing`, `skipped`, `pose_report`, `notes`, `frame_rate`.
+        `broken` (message by number), `missing`, `skipped` (numbers), `absent` (why these two are not
+        rendered, by number), `pose_report`, `notes`, `frame_rate`.
         """
         footage, numbers = self._opened(), self._chosen()
         about = footage.describe()
@@ -126,12 +132,11 @@ class MarkerVideoCapture:
         if self._mattes is not None:
             self._mattes.check(numbers)
         notes = list(about["notes"])
-        missing = [n for n in footage.missing if numbers[0] < n < numbers[-1]]
+        missing = self._missing(footage, numbers)
         if missing:
-            shown = ", ".join(map(str, missing[:20])) + (" ..." if len(missing) > 20 else "")
-            notes.append(f"{len(missing)} frames are missing in the sequence: {shown}")
+            notes.append(f"missing in the footage: {_listed(missing)}")
         broken: dict[int, str] = {}
-        rows, report = self._poses(footage, numbers, about, calibration, broken)
+        rows, report = self._poses(footage, numbers, about, calibration, broken, progress)
         place_marker = self.settings.world_from_marker.array()
         poses, flags = {}, {}
         for row in rows:
@@ -144,9 +149,17 @@ class MarkerVideoCapture:
         if not poses:
             raise InputError("no frame has a pose", place=Place(frame=numbers[0]))
         if skipped:
-            notes.append(f"{len(skipped)} frames without a pose are left out: {skipped[:20]}")
+            notes.append(f"without a pose, so left out: {_listed(skipped)}")
         if broken:
-            notes.append(f"{len(broken)} frames cannot be read: {sorted(broken)[:20]}")
+            notes.append(f"cannot be read: {_listed(sorted(broken))}")
+        if report["source"] == "target":
+            seen = sum(row.points > 0 for row in rows)
+            notes.append(
+                f"the target is seen in {seen} of {len(numbers)} frames, "
+                f"median reprojection error {report['median_rms_px']:.2f} px"
+            )
+        absent = {n: "the footage has no such frame" for n in missing}
+        absent |= {n: "the frame has no camera pose: the target was not found in it" for n in skipped}
         gains = self._gains(footage, frames, about)
         self._posed = tuple(frames)
         return {
@@ -167,9 +180,23 @@ class MarkerVideoCapture:
             "broken": {str(n): message for n, message in broken.items()},
             "missing": missing,
             "skipped": skipped,
+            "absent": {str(n): absent[n] for n in sorted(absent)},
             "pose_report": report,
             "notes": notes,
         }
+
+    def _missing(self, footage: Footage, numbers: tuple[int, ...]) -> list[int]:
+        """Frames of the subset that the footage should have and has not."""
+        subset = self.settings.subset
+        found = []
+        for n in footage.missing:
+            if n < numbers[0] or (subset.last is not None and n > subset.last):
+                continue
+            if subset.to_time is not None and float(footage.time(n)) >= subset.to_time:
+                continue
+            if (n - numbers[0]) % subset.step == 0:
+                found.append(n)
+        return found
 
     def _poses(
         self,
@@ -178,6 +205,7 @@ class MarkerVideoCapture:
         about: Mapping[str, Any],
         calibration: Calibration,
         broken: dict[int, str],
+        progress: Progress,
     ) -> tuple[Sequence[Any], dict[str, Any]]:
         """Rows of `FramePose` and what a report says of them; fills `broken`."""
         from mrbatch.capture.marker_video.pose import FramePose, fill_lost, solve_poses
@@ -208,9 +236,17 @@ class MarkerVideoCapture:
                 grey = grey_codes_of(linear, about["float"])
                 yield number, float(footage.time(number)), lambda grey=grey: grey
 
+        seen: list[bool] = []
+
+        def looked(number: int, found: bool) -> None:
+            seen.append(found)
+            detail = f"seen in {sum(seen)}"
+            progress("looking for the target", len(seen) + len(broken), len(numbers), detail)
+
         solve = self._solve or solve_poses
+        target, lost = self.settings.target, self.settings.lost
         try:
-            found = solve(pictures(), calibration, self.settings.target, lost=self.settings.lost)
+            found = solve(pictures(), calibration, target, lost=lost, progress=looked)
         except InputError:
             if len(broken) == len(numbers):
                 raise InputError(
@@ -301,6 +337,12 @@ class MarkerVideoCapture:
         data = ViewData(view.camera, picture.linear, view.gain, matte, picture.codes)
         flags = (*table["flags"].get(str(number), ()), *picture.flags)
         return FrameData(number, table["times"][table["frames"].index(number)], {VIEW: data}, flags)
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    """`1 frame (7)`, `3 frames (7, 8, 9)`; of many the first twenty."""
+    shown = ", ".join(map(str, numbers[:20])) + (", ..." if len(numbers) > 20 else "")
+    return f"{len(numbers)} frame{'s' if len(numbers) > 1 else ''} ({shown})"
 
 
 def _ceiling(colour: Mapping[str, Any]) -> float:

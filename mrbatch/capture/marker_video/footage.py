@@ -129,13 +129,19 @@ class VideoFootage:
         self._conformed = settings.frame_rate
         self._first = settings.start_frame or 0
         self.numbers = tuple(range(self._first, self._first + len(self._table)))
-        self.missing: tuple[int, ...] = ()
+        # What the file's index names beyond what is in the file: its end is cut off.
+        end = self._first + len(self._table)
+        cut = max(0, self._table.announced - self._table.packets)
+        self.missing: tuple[int, ...] = tuple(range(end, end + cut))
         self.rate = settings.frame_rate or self._table.rate
 
     def time(self, number: int) -> Fraction:
         if self._conformed is not None:
             return (number - self._first) / self._conformed
-        return self._table.time(number - self._first)
+        index, last = number - self._first, len(self._table) - 1
+        if index > last:  # missing: where it would be
+            return self._table.time(last) + (index - last) / (self._table.rate or SEQUENCE_RATE)
+        return self._table.time(index)
 
     def describe(self) -> dict[str, Any]:
         with self._lock:

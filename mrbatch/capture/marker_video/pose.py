@@ -128,7 +128,7 @@ def solve_poses(
     *,
     lost: LostPolicy = "stop",
     transfer: Callable[[np.ndarray], np.ndarray] = srgb_to_linear,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int, bool], None] | None = None,
 ) -> PoseTable:
     """Poses of all frames of a shot.
 
@@ -136,7 +136,7 @@ def solve_poses(
     or uint16 codes of `transfer` or as linear floats; pictures are asked for one at a time. `lost`: what
     happens to frames without a usable pose: `stop` (error), `skip` (no pose), `hold-last` (the pose
     before), `interpolate` (between the neighbours; held at the ends). `progress` is called with each
-    frame number done.
+    frame number done and whether the target is seen in it.
 
     Raises InputError: the target is never seen (the hint names dictionaries that do see markers), a
     marker is seen twice in one frame, a picture has another size than the calibration, poses are
@@ -156,7 +156,7 @@ def solve_poses(
             first.append(grey)
         looked.append((number, time, detection))
         if progress:
-            progress(number)
+            progress(number, len(detection) > 0)
     if not looked:
         raise InputError("there are no frames to find the target in")
     if not any(len(d) for _, _, d in looked):
