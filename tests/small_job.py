@@ -51,6 +51,7 @@ def write_picture(path: Path, values: np.ndarray) -> None:
     import OpenImageIO as oiio
 
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], 3, str(values.dtype).replace("32", ""))
+    spec.attribute("DateTime", "")  # else EXR files carry the second in which they were written
     out = oiio.ImageOutput.create(str(path))
     assert out.open(str(path), spec) and out.write_image(values) and out.close()
 

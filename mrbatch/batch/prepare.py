@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from mrbatch.film.exr import choose_colour_type
 from mrbatch.film.layers import needs
 from mrbatch.film.window import Window
 from mrbatch.job.model import Job
-from mrbatch.job.resolve import pixel_relevant
+from mrbatch.job.resolve import pixel_relevant, placeless
 from mrbatch.scene.build import build_scene, scene_files
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.scene import Scene
@@ -83,22 +83,27 @@ def no_progress(step: str, done: int, total: int, detail: str = "") -> None:
     """For those who do not listen."""
 
 
-def input_hashes(files: list[Path], folder: Path, progress: Progress = no_progress) -> dict[str, str]:
-    """Content hash of every input, by its path relative to the job's folder. Raises InputError."""
-    found = {}
-    for done, path in enumerate(files):
-        progress("reading inputs", done, len(files))
+def input_hashes(
+    files: Sequence[Path], folder: Path, progress: Progress = no_progress
+) -> list[tuple[str, str]]:
+    """Name and content hash of every input, in the order in which the settings name them.
+
+    Names say nothing of where folders lie, so two inputs may share one: their order tells them apart, and
+    a file named twice stands there twice. Raises InputError.
+    """
+    digests: dict[Path, str] = {}
+    each = list(dict.fromkeys(files))
+    for done, path in enumerate(each):
+        progress("reading inputs", done, len(each))
         try:
-            digest = hash_file(path)
+            digests[path] = hash_file(path)
         except OSError as error:
             raise InputError(
                 f"cannot read the file: {error.strerror or error}",
                 place=Place(file=str(path)),
                 hint="check the path, which counts from the job file, and its rights",
             ) from error
-        name = path.relative_to(folder) if path.is_relative_to(folder) else path
-        found[name.as_posix()] = digest
-    return found
+    return [(placeless(path, folder), digests[path]) for path in files]
 
 
 def layer_names(job: Job) -> tuple[str, ...]:
@@ -139,8 +144,7 @@ def look_at(
         files = [Path(p) for p in capture.inputs()]
         files += scene_files(job.environment, job.real, job.virtual)
     with timing.measure("hash inputs"):
-        found = input_hashes(list(dict.fromkeys(files)), job.folder, progress)
-        inputs = [[name, digest] for name, digest in found.items()]
+        inputs = [list(pair) for pair in input_hashes(files, job.folder, progress)]
     return Opened(capture, numbers, {**own_facts(job), "inputs": inputs})
 
 
@@ -274,7 +278,7 @@ def _plan(
         colour_reason=reason,
         plan=plan,
         segments=_segments(job, table, numbers),
-        notes=tuple(facts.notes),
+        notes=(*facts.notes, *scene.notes),
     )
 
 

@@ -10,9 +10,9 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from mrbatch.document import MAX_BYTES, Document, read_document, shorten
 from mrbatch.errors import JobError, JobErrors, MrbatchError, Place
 from mrbatch.job.choice import Loc
-from mrbatch.job.document import MAX_BYTES, Document, read_document, shorten
 from mrbatch.job.messages import dotted, job_errors
 from mrbatch.job.model import Job
 from mrbatch.job.overrides import Override, apply_overrides

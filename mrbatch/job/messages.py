@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from mrbatch.document import Document, shorten
 from mrbatch.errors import JobError, Place
 from mrbatch.job.choice import Choice, Loc
-from mrbatch.job.document import Document, shorten
 
 _EXPECTED = {
     "float_type": "a number",

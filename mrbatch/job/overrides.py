@@ -10,8 +10,8 @@ import difflib
 from collections.abc import Sequence
 from typing import Any
 
+from mrbatch.document import Document, Loc, read_document, shorten
 from mrbatch.errors import JobError, JobErrors, MrbatchError, Place
-from mrbatch.job.document import Document, Loc, read_document, shorten
 
 Override = str | tuple[str, str]
 """`key.key=value`; or that with how the user wrote it before, such as `("--frames 1-3", "frames=1-3")`."""

@@ -7,9 +7,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from mrbatch.document import Document
 from mrbatch.errors import Place
 from mrbatch.job.choice import Loc
-from mrbatch.job.document import Document
 from mrbatch.job.loader import map_paths, settle
 from mrbatch.job.model import Job
 
@@ -27,9 +27,11 @@ def pixel_relevant(job: Job) -> dict[str, Any]:
     """The part of `resolved` that can change a pixel: the job's share of the job hash.
 
     Left out, by their mark in the models: names, places and previews, the frames chosen, and
-    `engine` (what it resolved to belongs to the hash, and is known in `prepare`).
+    `engine` (what it resolved to belongs to the hash, and is known in `prepare`). Files below the job's
+    folder have their relative path, all others their name alone: where folders lie is no part of a picture,
+    and what is in the files is hashed apart.
     """
-    part = _pixels(_relative(job), resolved(job))
+    part = _pixels(job, _placeless(job).model_dump(mode="json"))
     # A frame that takes the place of a broken one is another picture; stopping or skipping is not.
     part["hold_last"] = job.on_error == "hold-last"
     return part
@@ -45,6 +47,15 @@ def _relative(job: Job) -> Job:
         return path.relative_to(job.folder) if path.is_relative_to(job.folder) else path
 
     return map_paths(job, relative)
+
+
+def _placeless(job: Job) -> Job:
+    return map_paths(job, lambda path, loc: Path(placeless(path, job.folder)))
+
+
+def placeless(path: Path, folder: Path) -> str:
+    """How hashes and files name an input: its path below `folder` with forward slashes, else its name."""
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
 
 
 def _pixels(value: Any, data: Any) -> Any:

@@ -8,14 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 
 from mrbatch.errors import InputError, Place
-from mrbatch.kernels.transfer import to_linear
+from mrbatch.kernels.transfer import to_linear, to_rec709
 from mrbatch.scene import settings as given
 from mrbatch.scene.environment import Environment, load_environment
+from mrbatch.scene.gltf_header import further_files
 from mrbatch.scene.mesh import Mesh, box, icosphere, load_mesh, plane
 from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
+from mrbatch.scene.stored_picture import check_finite, colour_channels, primaries_of, read_stored
 
 SPHERE_SUBDIVISIONS = 6
 
@@ -29,17 +30,21 @@ def build_scene(
     if environment is None:
         light = Environment(radiance=np.zeros((1, 2, 3), np.float32))
     else:
+        matrix = environment.world_from_map
         light = load_environment(
             environment.file,
             rows=environment.rows,
-            world_from_map=environment.rotation(),
+            yaw=environment.yaw,
+            world_from_map=None if matrix is None else np.array(matrix),
             scale=environment.scale,
             interpolation=environment.interpolation,
         )
     objects = tuple(
         [_real(item) for item in real] + [_virtual(item) for item in virtual],
     )
-    return Scene(objects, light, centre(objects))
+    textures = [item.material.texture for item in objects if item.material.texture is not None]
+    notes = (*light.notes, *(note for texture in textures for note in texture.notes))
+    return Scene(objects, light, centre(objects), tuple(dict.fromkeys(notes)))
 
 
 def scene_files(
@@ -47,16 +52,19 @@ def scene_files(
     real: Sequence[given.RealObject],
     virtual: Sequence[given.VirtualObject],
 ) -> list[Path]:
-    """Every file that the scene's pixels depend on, each once."""
+    """Every file that the scene's pixels depend on, in the order of the settings that name them.
+
+    Raises InputError for a mesh file whose further files cannot be told.
+    """
     files: list[Path] = [environment.file] if environment else []
     items: list[given.RealObject | given.VirtualObject] = [*real, *virtual]
     for item in items:
         if item.mesh is not None:
-            files.append(item.mesh)
+            files += [item.mesh, *further_files(item.mesh)]
         reflectance = item.material.reflectance if isinstance(item, given.VirtualObject) else item.reflectance
         if isinstance(reflectance, given.Texture):
             files.append(reflectance.texture)
-    return list(dict.fromkeys(files))
+    return files
 
 
 def _real(item: given.RealObject) -> SceneObject:
@@ -114,42 +122,49 @@ def _shape(item: given.Object) -> Mesh:
 
 def _material(kind: str, reflectance: object, alpha: float) -> Material:
     if isinstance(reflectance, given.Texture):
-        pixels = _texture(reflectance.texture, reflectance.colour)
+        pixels, notes = _texture(reflectance.texture, reflectance.colour)
         if reflectance.mean is not None:
             mean = pixels.reshape(-1, 3).mean(axis=0, dtype=np.float64)
             factor = np.divide(reflectance.mean, mean, out=np.zeros(3), where=mean > 0)
             pixels = (pixels * factor).astype(np.float32)
         average = tuple(float(c) for c in pixels.reshape(-1, 3).mean(axis=0, dtype=np.float64))
-        texture = Texture(pixels, str(reflectance.texture))
+        texture = Texture(pixels, str(reflectance.texture), notes)
         return Material(kind, average, alpha, texture)  # type: ignore[arg-type]
     return Material(kind=kind, alpha=alpha, reflectance=tuple(reflectance))  # type: ignore[arg-type]
 
 
 @functools.lru_cache(maxsize=16)
-def _texture(path: Path, colour: str) -> np.ndarray:
-    """(H, W, 3) float32, linear. Raises InputError."""
+def _texture(path: Path, colour: str) -> tuple[np.ndarray, tuple[str, ...]]:
+    """(H, W, 3) float32 reflectance, linear Rec.709, and notes on its reading. Raises InputError."""
     place = Place(file=str(path))
-    picture = oiio.ImageInput.open(str(path))
-    if picture is None:
-        raise InputError(f"cannot read the texture: {oiio.geterror().strip()}", place=place)
-    spec = picture.spec()
-    bits = {"uint8": 8, "uint16": 16}.get(str(spec.format))
-    if bits and colour == "srgb":
-        codes = picture.read_image("uint8" if bits == 8 else "uint16")
+    stored = read_stored(path, what="texture", upright=False)
+    codes, _ = colour_channels(stored, place)
+    check_finite(codes, place)
+    if codes.dtype.kind == "f":
+        pixels = codes.astype(np.float32)
     else:
-        codes = picture.read_image("float")
-    picture.close()
-    if codes is None:
-        raise InputError("the texture is damaged: its pixels cannot be read", place=place)
-    codes = np.repeat(codes[..., :1], 3, axis=2) if codes.shape[2] < 3 else codes[..., :3]
-    pixels = to_linear(codes, "srgb", bits) if bits and colour == "srgb" else codes.astype(np.float32)
-    if not np.isfinite(pixels).all():
-        raise InputError("the texture holds NaN or infinity", place=place)
+        pixels = to_linear(codes, colour, 8 * codes.dtype.itemsize)
     if pixels.min() < 0.0 or pixels.max() > 1.0:
         raise InputError(
             f"the texture reaches from {pixels.min():g} to {pixels.max():g}: a reflectance lies in 0..1",
             place=place,
             hint="scale the texture, or name its `colour` right",
         )
+    notes: tuple[str, ...] = ()
+    primaries, matrix, unknown = primaries_of(stored, place)
+    if primaries != "bt709":
+        pixels = to_rec709(pixels, matrix)
+        beyond = (pixels < 0.0) | (pixels > 1.0)
+        clamped = int(beyond.any(axis=2).sum())
+        pixels = np.clip(pixels, 0.0, 1.0)
+        notes = (
+            f"the texture {path.name} is converted to Rec.709 from the primaries that its file names"
+            + (f"; {clamped} texels lie outside and are clamped" if clamped else ""),
+        )
+    elif unknown:
+        notes = (
+            f"the texture {path.name} has the colour profile `{unknown}`, which is not applied: "
+            "Rec.709 primaries are assumed",
+        )
     pixels.setflags(write=False)
-    return pixels
+    return pixels, notes

@@ -17,15 +17,16 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from mrbatch.errors import InputError, Place
+from mrbatch.kernels.transfer import to_rec709
 from mrbatch.scene.environment_integrals import EnvironmentIntegrals
 from mrbatch.scene.environment_median_cut import MedianCut, best_cut
 from mrbatch.scene.environment_tables import EnvironmentTables, Interpolation, Rows, build_tables
-from mrbatch.scene.file_kind import unreadable
+from mrbatch.scene.stored_picture import MAX_PIXELS, colour_channels, primaries_of, read_stored
 
 if TYPE_CHECKING:
     from mrbatch.kernels.environment import EnvironmentData
 
-MAX_PIXELS = 16384 * 8192
+WHAT = "environment map"
 MAX_SIDE = 65000
 """Guides are 16-bit: half the memory, and a fifth of the sampling time, of 32-bit ones."""
 _SHOWN = 5
@@ -34,8 +35,9 @@ _SHOWN = 5
 def rotation_from_yaw(yaw: float) -> np.ndarray:
     """(3, 3) world_from_map of a map turned by `yaw` radians counter-clockwise about world +Z."""
     # Quarter turns are exact, so that a map turned by 90 degrees has exact zeros in its matrix.
+    # An angle written in degrees is some rounding errors away from its quarter, however many turns it has.
     quarters = yaw / (0.5 * np.pi)
-    if quarters == round(quarters):
+    if abs(quarters - round(quarters)) <= 1e-12 * max(1.0, abs(quarters)):
         c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarters) % 4]
     else:
         c, s = float(np.cos(yaw)), float(np.sin(yaw))
@@ -48,6 +50,7 @@ class Environment:
 
     `radiance` (H, W, 3) float32, finite, not negative. `rows`: where its rows lie. `world_from_map`
     (3, 3) float64, a rotation (never a mirror). `source`: the file it came from, and what was done.
+    `notes`: what a report has to say of the reading.
     Raises InputError for values or a matrix that cannot be.
     """
 
@@ -56,6 +59,7 @@ class Environment:
     world_from_map: np.ndarray = field(default_factory=lambda: np.eye(3))
     interpolation: Interpolation = "bilinear"
     source: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         place = Place(file=self.source) if self.source else None
@@ -236,75 +240,75 @@ def load_environment(
 ) -> Environment:
     """Reads an equirectangular EXR or HDR map as scene-linear Rec.709.
 
+    Other primaries that an EXR names as `chromaticities` are converted, once, here; colours outside of
+    Rec.709 are clamped to 0 in the channel that lacks them, and `notes` say so.
+
     `yaw` (radians) turns the map about world +Z, before `world_from_map` (3, 3). `scale`: factor,
     one or three, on the file's values. `repair`: set NaN, infinite and negative values to 0 (the
     count is in `source`) instead of refusing the map. Raises InputError for a file that is missing,
-    cannot be read, holds 8- or 16-bit codes, more than `max_pixels`, or values that are no radiance.
+    cannot be read whole, holds 8- or 16-bit codes, more than `max_pixels`, or values that are no radiance.
     """
-    import OpenImageIO as oiio
-
     path = Path(path)
     place = Place(file=str(path))
     if not path.is_file():
         raise InputError("the environment map does not exist", place=place, hint="check the path in the job")
-    image = oiio.ImageInput.open(str(path))
-    if image is None:
-        oiio.geterror()
-        raise unreadable(path, "an environment map", ("EXR", "HDR"))
-    try:
-        spec = image.spec()
-        if str(spec.format) not in ("half", "float", "double"):
-            raise InputError(
-                f"the environment map holds {spec.format} codes, not radiance",
-                place=place,
-                hint="give a linear map with high dynamic range, OpenEXR (.exr) or Radiance (.hdr)",
-            )
-        if spec.width * spec.height > max_pixels:
-            raise InputError(
-                f"the environment map has {spec.width} x {spec.height} texels, more than {max_pixels}",
-                place=place,
-                hint="scale it down with an area filter",
-            )
-        if (spec.width, spec.height) != (spec.full_width, spec.full_height):
-            raise InputError(
-                f"the environment map holds only {spec.width} x {spec.height} of its "
-                f"{spec.full_width} x {spec.full_height} texels",
-                place=place,
-                hint="write it without cropping its data window",
-            )
-        channels = _colour_channels(list(spec.channelnames), place)
-        values = image.read_image(0, 0, 0, spec.nchannels, oiio.FLOAT)
-        if values is None:
-            image.geterror()
-            raise unreadable(path, "an environment map", ("EXR", "HDR"))
-    finally:
-        image.close()
 
-    values = np.asarray(values, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
-    radiance = values[:, :, channels]
+    def check(spec: Any, place: Place) -> None:
+        _check_header(spec, place, max_pixels)
+
+    stored = read_stored(path, what=WHAT, kinds=("EXR", "HDR"), check=check, upright=False)
+    radiance = colour_channels(stored, place)[0].astype(np.float32)
     source = str(path)
+    notes = []
     if repair:
         bad = ~np.isfinite(radiance) | (radiance < 0.0)
         radiance = np.where(bad, np.float32(0.0), radiance)
         if bad.any():
             source += f" ({int(bad.any(axis=2).sum())} texels set to 0)"
     _check_values(radiance, place)
+    primaries, matrix, _ = primaries_of(stored, place)
+    if primaries != "bt709":
+        radiance = to_rec709(radiance, matrix)
+        beyond = radiance < 0.0
+        clamped = int(beyond.any(axis=2).sum())
+        radiance = np.where(beyond, np.float32(0.0), radiance)
+        notes.append(
+            f"the {WHAT} is converted to Rec.709 from the primaries that its file names"
+            + (f"; {clamped} texels lie outside and are clamped" if clamped else "")
+        )
     with np.errstate(over="ignore"):
         radiance = (radiance * np.asarray(scale, dtype=np.float64)).astype(np.float32)
     rotation = rotation_from_yaw(yaw)
     if world_from_map is not None:
         rotation = np.asarray(world_from_map, dtype=np.float64).reshape(3, 3) @ rotation
-    return Environment(radiance, rows, rotation, interpolation, source)
+    return Environment(radiance, rows, rotation, interpolation, source, tuple(notes))
 
 
-def _colour_channels(names: list[str], place: Place) -> list[int]:
-    upper = [name.upper() for name in names]
-    if all(name in upper for name in "RGB"):
-        return [upper.index(name) for name in "RGB"]
-    if len(names) == 1 or upper[:1] == ["Y"]:
-        return [0, 0, 0]
-    raise InputError(
-        f"the environment map has channels {', '.join(names)}, not R, G and B",
-        place=place,
-        hint="export one layer with channels R, G, B",
-    )
+def _check_header(spec: Any, place: Place, max_pixels: int) -> None:
+    """Raises InputError for a file that is no environment map, before its pixels are read."""
+    if str(spec.format) not in ("half", "float", "double"):
+        raise InputError(
+            f"the {WHAT} holds {spec.format} codes, not radiance",
+            place=place,
+            hint="give a linear map with high dynamic range, OpenEXR (.exr) or Radiance (.hdr)",
+        )
+    if spec.width * spec.height > max_pixels:
+        raise InputError(
+            f"the {WHAT} has {spec.width} x {spec.height} texels, more than {max_pixels}",
+            place=place,
+            hint="scale it down with an area filter",
+        )
+    if (spec.width, spec.height) != (spec.full_width, spec.full_height):
+        raise InputError(
+            f"the {WHAT} holds only {spec.width} x {spec.height} of its "
+            f"{spec.full_width} x {spec.full_height} texels",
+            place=place,
+            hint="write it without cropping its data window",
+        )
+    names = [name.upper() for name in spec.channelnames]
+    if not set("RGB") <= set(names) and len(names) != 1 and names[:1] != ["Y"]:
+        raise InputError(
+            f"the {WHAT} has channels {', '.join(spec.channelnames[:8])}, not R, G and B",
+            place=place,
+            hint="export one layer with channels R, G, B",
+        )

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from mrbatch.errors import InputError, Place, ResourceError
+from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
+from mrbatch.scene.gltf_header import check_gltf_header
 from mrbatch.scene.ply_header import check_ply_header
 
 MAX_TRIANGLES = 2**31 // 3 - 1
@@ -22,7 +24,7 @@ _SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 # PLY: else trimesh splits and rounds the coordinates of vertices that have their own. OBJ: its
 # `maintain_order` is not given, because it averages over seams and loses the normals.
 _READER_OPTIONS: dict[str, dict[str, Any]] = {
-    ".ply": {"fix_texture": False},
+    ".ply": {"fix_texture": False, "skip_materials": True},
     ".obj": {"skip_materials": True},
 }
 
@@ -209,10 +211,17 @@ def _read(path: Path, suffix: str, place: Place) -> list[tuple[Any, np.ndarray]]
     """The file's meshes with the transform of each of their nodes."""
     import trimesh
 
+    # What the reader may open beside the file: a glTF's own buffers, and no picture or material library.
+    beside: dict[str, bytes] = {}
+    if suffix in GLTF_SUFFIXES:
+        beside = {uri: file.read_bytes() for uri, file in check_gltf_header(path, place).items()}
     try:
-        scene = trimesh.load_scene(str(path), process=False, **_READER_OPTIONS.get(suffix, {}))
-    except (MemoryError, KeyboardInterrupt):
-        raise
+        options = _READER_OPTIONS.get(suffix, {})
+        scene = trimesh.load_scene(str(path), process=False, resolver=beside, **options)
+    except MemoryError:
+        raise ResourceError(
+            "out of memory while reading the mesh file", place=place, hint="simplify the mesh"
+        ) from None
     except Exception as error:  # a parser that meets broken bytes may raise anything
         raise InputError(
             f"the mesh file cannot be read ({type(error).__name__}: {error})",
@@ -220,10 +229,15 @@ def _read(path: Path, suffix: str, place: Place) -> list[tuple[Any, np.ndarray]]
             hint="it may be damaged or truncated: export it again",
         ) from error
     parts = []
+    triangles = 0
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
         geometry = scene.geometry[name]
         if isinstance(geometry, trimesh.Trimesh):
+            # Many nodes may show one mesh, so a small file can ask for any number.
+            triangles += len(geometry.faces)
+            if triangles > MAX_TRIANGLES:
+                raise ResourceError(f"the file's nodes show more than {MAX_TRIANGLES} triangles", place=place)
             parts.append((geometry, np.asarray(matrix, dtype=np.float64)))
     return parts
 

@@ -15,10 +15,11 @@ MAX_TRIANGLES = 2**31 - 1
 
 @dataclass(frozen=True)
 class Texture:
-    """A picture on a surface: (H, W, 3) float32, scene-linear, and where it came from."""
+    """A picture on a surface: (H, W, 3) float32, scene-linear; where it came from, and notes on that."""
 
     pixels: np.ndarray
     source: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,15 @@ class SceneObject:
 
 @dataclass(frozen=True)
 class Scene:
-    """Objects and light of a shot. `origin` (3,) float64: kernels work relative to it."""
+    """Objects and light of a shot. `origin` (3,) float64: kernels work relative to it.
+
+    `notes`: what a report has to say of the reading.
+    """
 
     objects: tuple[SceneObject, ...]
     environment: Environment
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    notes: tuple[str, ...] = ()
 
     @property
     def real(self) -> tuple[SceneObject, ...]:

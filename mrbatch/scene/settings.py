@@ -107,13 +107,6 @@ class Environment(Settings):
             raise ValueError("`yaw` and `world_from_map` are both given: give one")
         return self
 
-    def rotation(self) -> np.ndarray:
-        """`world_from_map` (3, 3) float64, from the matrix or from `yaw`."""
-        if self.world_from_map is not None:
-            return np.array(self.world_from_map, dtype=np.float64)
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
 
 class Texture(Settings):
     """A reflectance that varies over the surface: a picture looked up at the mesh's UV."""

@@ -221,7 +221,7 @@ def test_a_broken_picture_costs_its_frame_only(shot):
     assert list(table["broken"]) == ["5"]
     for number in range(8):
         if number == 5:
-            with pytest.raises(InputError, match="cannot read the picture") as caught:
+            with pytest.raises(InputError, match="damaged or cut short") as caught:
                 capture.frame(number, table)
             assert caught.value.place.frame == 5
             assert caught.value.exit_code == 3

@@ -7,10 +7,11 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from mrbatch.capture.marker_video.sequence import find_sequence, picture_colour, read_picture, read_stored
+from mrbatch.capture.marker_video.sequence import find_sequence, picture_colour, read_picture
 from mrbatch.capture.marker_video.settings import ColourSettings
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import from_linear
+from mrbatch.scene.stored_picture import read_stored
 
 
 def write_oiio(path, values, kind=None, names=None, **attributes):

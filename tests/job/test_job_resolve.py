@@ -33,10 +33,14 @@ def test_same_job_elsewhere_is_the_same(sample, tmp_path):
     assert here == pixel_relevant(parse_job(sample, tmp_path / "moved" / "desk.yaml"))
 
 
-def test_paths_outside_stay_absolute(sample, tmp_path):
-    outside = Path(tmp_path.anchor) / "far" / "b.ply"
-    job = parse_job(sample, tmp_path / "desk.yaml", [f"virtual.bunny.mesh={outside.as_posix()}"])
-    assert resolved(job)["virtual"][0]["mesh"] == outside.as_posix()
+def test_paths_outside_stay_absolute_but_are_no_part_of_the_pixels(sample, tmp_path):
+    """A stored job must find its files; a picture does not depend on where they lie."""
+    pixels = []
+    for outside in (Path(tmp_path.anchor) / "far" / "b.ply", tmp_path.parent / "near" / "by" / "b.ply"):
+        job = parse_job(sample, tmp_path / "desk.yaml", [f"virtual.bunny.mesh={outside.as_posix()}"])
+        assert resolved(job)["virtual"][0]["mesh"] == outside.as_posix()
+        pixels.append(pixel_relevant(job))
+    assert pixels[0] == pixels[1] and pixels[0]["virtual"][0]["mesh"] == "b.ply"
 
 
 @pytest.mark.parametrize(

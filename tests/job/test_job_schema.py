@@ -8,8 +8,8 @@ import re
 import pytest
 
 from mrbatch.capture.registry import CAPTURES
+from mrbatch.document import read_document
 from mrbatch.job import parse_job, resolved
-from mrbatch.job.document import read_document
 from mrbatch.job.manual import manual_text, write_manual
 from mrbatch.job.schema import DIALECT, job_schema
 from mrbatch.methods.registry import METHODS

@@ -351,6 +351,33 @@ def test_files_that_cannot_be_used(tmp_path):
     assert repaired.radiance[3, 4, 1] == 0.0 and "1 texels set to 0" in repaired.source
 
 
+P3 = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.3127, 0.3290)
+
+
+def test_named_primaries_are_converted_once(tmp_path):
+    """Light of Display P3: its own white stays, its red is more than Rec.709's and clamped in green, blue."""
+    image = np.ones((4, 8, 3), np.float32)
+    image[0, 0] = (3.0, 0.0, 0.0)
+    spec = oiio.ImageSpec(8, 4, 3, "float")
+    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), P3)
+    out = oiio.ImageOutput.create("openexr")
+    assert out.open(str(tmp_path / "p3.exr"), spec) and out.write_image(image) and out.close()
+    environment = load_environment(tmp_path / "p3.exr")
+    np.testing.assert_allclose(environment.radiance[1, 1], [1, 1, 1], atol=1e-6)
+    # The first column of Rec.709 from P3-D65 (Apple, ICC; SMPTE RP 431-2 primaries).
+    np.testing.assert_allclose(environment.radiance[0, 0], [3 * 1.2249401, 0, 0], rtol=1e-6)
+    assert "primaries" in environment.notes[0] and "1 texels" in environment.notes[0]
+    assert load_environment(write(tmp_path / "plain.exr", image)).notes == ()
+
+
+def test_channels_that_are_no_light_are_never_read(tmp_path):
+    """Sixty further channels of a map cost neither memory nor a refusal."""
+    image = np.random.default_rng(3).random((4, 8, 63), dtype=np.float32)
+    names = [f"extra.{i:02d}" for i in range(60)] + ["B", "G", "R"]
+    got = load_environment(write(tmp_path / "many.exr", image, names, "float")).radiance
+    assert np.array_equal(got, image[..., [62, 61, 60]])
+
+
 @pytest.mark.data
 @pytest.mark.parametrize("name", sorted(MAPS))
 def test_real_maps_have_the_light_they_are_said_to_have(shared_data, name):

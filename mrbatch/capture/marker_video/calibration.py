@@ -8,7 +8,6 @@ integers: the principal point moves by +1/2 here, once, unless the file says `pi
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from mrbatch.capture.marker_video.calibration_file import read_calibration_file
+from mrbatch.document import shorten
 from mrbatch.errors import InputError, Place
 from mrbatch.scene.camera import Camera
 
@@ -31,6 +32,8 @@ DISTORTION_KEYS: tuple[str, ...] = (
 SIZE_KEYS = ("image_size", "imageSize", "resolution", "size", "img_size")
 WIDTH_KEYS = ("image_width", "width", "Image_Width", "imageWidth", "image_Width")
 HEIGHT_KEYS = ("image_height", "height", "Image_Height", "imageHeight", "image_Height")
+MAX_PIXELS = 1e9
+"""Sizes, focal lengths and principal points beyond this are no camera's."""
 _MODEL_KEYS = ("distortion_model", "model", "camera_model", "calibration_model")
 _SUPPORTED_MODELS = {"plumb_bob", "rational_polynomial", "brown_conrady", "opencv", "opencv5", "opencv8"}
 _SUPPORTED_MODELS |= {"pinhole", "perspective", "radtan", "none", ""}
@@ -78,6 +81,14 @@ class Calibration:
         )
 
 
+def _numbers(value: Any) -> np.ndarray | None:
+    """Float64 array of what a file or a job holds, or None where it holds no numbers."""
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
 def make_calibration(
     matrix: Any,
     distortion: Any = None,
@@ -93,18 +104,20 @@ def make_calibration(
     taken where thin prism and tilt are zero).
     """
     place = Place(file=source) if source else None
-    try:
-        k = np.array(matrix, dtype=np.float64)
-        d = np.zeros(0) if distortion is None else np.array(distortion, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
-        raise InputError("the intrinsics are not numbers", place=place) from None
+    k = _numbers(matrix)
+    d = np.zeros(0) if distortion is None else _numbers(distortion)
+    if k is None or d is None:
+        raise InputError("the intrinsics are not numbers", place=place)
+    d = d.ravel()
     if k.size != 9:
         raise InputError(f"the camera matrix has shape {k.shape}, expected 3 x 3", place=place)
     k = k.reshape(3, 3)
     if not np.all(np.isfinite(k)) or not np.all(np.isfinite(d)):
         raise InputError("the intrinsics hold NaN or infinity", place=place, hint="calibrate again")
+    if np.abs(k).max() > MAX_PIXELS or (d.size and np.abs(d).max() > MAX_PIXELS):
+        raise InputError(f"the intrinsics reach beyond {MAX_PIXELS:g}", place=place)
     if k[0, 0] <= 0 or k[1, 1] <= 0:
-        if k[0, 0] * k[1, 1] == 0:
+        if k[0, 0] == 0 or k[1, 1] == 0:
             raise InputError("the camera matrix is singular: a focal length is 0", place=place)
         raise InputError(f"the focal lengths {k[0, 0]:g} and {k[1, 1]:g} are not both positive", place=place)
     if not np.allclose(k[2], [0, 0, 1], rtol=0, atol=1e-9) or k[1, 0] != 0:
@@ -158,7 +171,7 @@ def load_calibration(
     place = Place(file=str(path))
     if not path.is_file():
         raise InputError("the calibration file does not exist", place=place)
-    content = _read(path, place)
+    content = read_calibration_file(path)
     if section is not None:
         if not isinstance(content.get(section), Mapping):
             raise InputError(
@@ -169,7 +182,7 @@ def load_calibration(
         parts = [name for name, part in content.items() if isinstance(part, Mapping) and _has_matrix(part)]
         if len(parts) > 1:
             raise InputError(
-                f"the file holds {len(parts)} calibrations: {', '.join(parts)}",
+                f"the file holds {len(parts)} calibrations: {shorten(', '.join(parts), 200)}",
                 place=place,
                 hint="name one of them as `section`",
             )
@@ -185,11 +198,12 @@ def _has_matrix(content: Mapping[str, Any]) -> bool:
 
 
 def _is_pose(value: Any) -> bool:
-    return np.size(value) == 16 if not isinstance(value, Mapping) else False
+    numbers = None if isinstance(value, Mapping) else _numbers(value)
+    return numbers is not None and numbers.size == 16
 
 
 def _names(content: Mapping[str, Any]) -> str:
-    return ", ".join(str(key) for key in content) or "no keys"
+    return shorten(", ".join(str(key) for key in content), 200) or "no keys"
 
 
 def _first(content: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
@@ -219,15 +233,14 @@ def _from_mapping(content: Mapping[str, Any], source: str, centres: PixelCentres
         matrix = [[content["fx"], 0, ppx], [0, content["fy"], ppy], [0, 0, 1]]
     width, height = _first(content, WIDTH_KEYS), _first(content, HEIGHT_KEYS)
     size = _first(content, SIZE_KEYS)
-    if width is None and height is None and size is not None and np.size(size) == 2:
-        width, height = np.asarray(size).ravel()
+    if width is None and height is None and size is not None:
+        both = _numbers(size)
+        if both is not None and both.size == 2:
+            width, height = both.ravel().tolist()
     said = content.get("pixel_centres", "integer")
     if said not in ("integer", "half"):
-        raise InputError(f"`pixel_centres` is `{said}`, expected integer or half", place=place)
-    try:
-        pixels = [None if v is None else int(np.asarray(v).ravel()[0]) for v in (width, height)]
-    except (TypeError, ValueError, IndexError):
-        raise InputError("the image's width and height are not numbers", place=place) from None
+        raise InputError(f"`pixel_centres` is `{shorten(said)}`, expected integer or half", place=place)
+    pixels = [None if value is None else _pixels(value, place) for value in (width, height)]
     return make_calibration(
         matrix,
         distortion,
@@ -236,6 +249,14 @@ def _from_mapping(content: Mapping[str, Any], source: str, centres: PixelCentres
         pixel_centres=centres or ("half" if said == "half" else "integer"),
         source=source,
     )
+
+
+def _pixels(value: Any, place: Place) -> int:
+    """A number of pixels: alone, or the first of an array as MATLAB and FileStorage write it."""
+    numbers = _numbers(value)
+    if numbers is None or numbers.size == 0 or not np.abs(numbers.ravel()[0]) <= MAX_PIXELS:
+        raise InputError("the image's width and height are not numbers", place=place)
+    return int(numbers.ravel()[0])
 
 
 def _check_model(content: Mapping[str, Any], distortion: Any, place: Place) -> None:
@@ -251,97 +272,11 @@ def _check_model(content: Mapping[str, Any], distortion: Any, place: Place) -> N
         if model is None or isinstance(model, Mapping):
             continue
         name = str(model).lower().replace("distortion.", "").strip()
-        harmless = distortion is not None and not np.any(np.asarray(distortion, dtype=np.float64))
+        coefficients = None if distortion is None else _numbers(distortion)
+        harmless = coefficients is not None and not np.any(coefficients)
         if name not in _SUPPORTED_MODELS and not (harmless and name == "inverse_brown_conrady"):
             raise InputError(
-                f"the lens model `{model}` is not supported",
+                f"the lens model `{shorten(model)}` is not supported",
                 place=place,
                 hint="supported: OpenCV's 4, 5 or 8 coefficients (plumb_bob, rational_polynomial)",
             )
-
-
-def _read(path: Path, place: Place) -> dict[str, Any]:
-    suffix = path.suffix.lower()
-    if suffix in (".npz", ".npy"):
-        return _read_numpy(path, place)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"the calibration file cannot be read as text ({error})", place=place) from None
-    if suffix == ".xml" or text.lstrip().startswith(("<?xml", "<opencv")) or "opencv-matrix" in text:
-        return _read_filestorage(text, suffix, place)
-    try:
-        if suffix == ".json" or text.lstrip().startswith("{"):
-            content = json.loads(text)
-        else:
-            from ruamel.yaml import YAML
-
-            # OpenCV writes "%YAML:1.0", which no YAML reader takes
-            lines = [line for line in text.splitlines() if not line.startswith("%YAML:")]
-            content = YAML(typ="safe", pure=True).load("\n".join(lines))
-    except Exception as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"the calibration file cannot be read ({reason})", place=place) from None
-    if not isinstance(content, dict):
-        raise InputError(
-            "the calibration file holds no keys",
-            place=place,
-            hint="expected `camera_matrix` and `distortion_coefficients`",
-        )
-    return content
-
-
-def _read_numpy(path: Path, place: Place) -> dict[str, Any]:
-    try:
-        with path.open("rb") as stream:
-            magic = stream.read(2)
-            stream.seek(0)
-            if magic not in (b"\x93N", b"PK"):
-                raise ValueError("it is neither an NPY nor an NPZ file")
-            content = np.load(stream, allow_pickle=False)
-            if isinstance(content, np.ndarray):
-                return {"camera_matrix": content}
-            return {key: content[key][()] for key in content.files}
-    except ValueError as error:
-        if "pickle" in str(error).lower():
-            raise InputError(
-                "the file holds pickled Python objects, which are not read",
-                place=place,
-                hint="save plain arrays: np.savez(path, camera_matrix=K, dist=d)",
-            ) from None
-        raise InputError(f"the calibration file cannot be read ({error})", place=place) from None
-    except Exception as error:
-        raise InputError(f"the calibration file cannot be read ({error})", place=place) from None
-
-
-def _read_filestorage(text: str, suffix: str, place: Place) -> dict[str, Any]:
-    import cv2
-
-    kind = {".xml": cv2.FileStorage_FORMAT_XML, ".json": cv2.FileStorage_FORMAT_JSON}.get(
-        suffix, cv2.FileStorage_FORMAT_AUTO
-    )
-    try:
-        storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY | kind)
-        root = storage.root()
-        content = {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
-    except (cv2.error, SystemError) as error:
-        cause = error.__cause__ or error
-        reason = str(cause).strip().splitlines()[-1]
-        raise InputError(f"OpenCV cannot read the calibration file ({reason})", place=place) from None
-    storage.release()
-    return content
-
-
-def _node(node) -> Any:
-    """Value of a FileStorage node: number, text, matrix, list or mapping."""
-    if node.isInt() or node.isReal():
-        return node.real()
-    if node.isString():
-        return node.string()
-    if node.isSeq():
-        return [_node(node.at(i)) for i in range(node.size())]
-    if node.isMap():
-        if "dt" in node.keys():  # noqa: SIM118
-            return node.mat()
-        return {key: _node(node.getNode(key)) for key in node.keys()}  # noqa: SIM118
-    return None

@@ -109,6 +109,9 @@ class MarkerVideoCapture:
     def inputs(self) -> Sequence[Path]:
         settings, numbers = self.settings, tuple(self._chosen())
         paths = self._opened().paths(numbers)
+        patch = settings.gain.patch
+        if patch is not None and patch.frame not in numbers and patch.frame in self._opened().numbers:
+            paths += self._opened().paths((patch.frame,))
         for path in (settings.camera.file, settings.poses, settings.gain.file):
             if path is not None:
                 paths.append(path)

@@ -11,16 +11,15 @@ from typing import Any, Protocol
 from mrbatch.capture.marker_video.colour import Colour, Picture
 from mrbatch.capture.marker_video.sequence import (
     PICTURE_SUFFIXES,
-    colour_channels,
     find_sequence,
     is_pattern,
     picture_colour,
     read_picture,
-    read_stored,
 )
 from mrbatch.capture.marker_video.settings import MarkerVideoSettings
 from mrbatch.capture.marker_video.video import FrameTable, VideoInfo, VideoReader, build_frame_table
 from mrbatch.errors import InputError, Place
+from mrbatch.scene.stored_picture import colour_channels, read_stored
 
 SEQUENCE_RATE = Fraction(24)
 """Frames per second of a picture sequence for which none is given."""

@@ -6,19 +6,23 @@ It is what exposure, sensitivity and white balance of the camera make of the env
 from __future__ import annotations
 
 import csv
-import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mrbatch.capture.data_file import parse_json, read_text
 from mrbatch.capture.marker_video.colour import Picture
 from mrbatch.capture.marker_video.settings import PatchSettings
+from mrbatch.document import shorten
 from mrbatch.errors import InputError, Place
 
 Gain = tuple[float, float, float]
+WHAT = "gain file"
+_WHOLE = re.compile(r"[-+]?[0-9]{1,18}")
 CLIPPED_SHARE = 0.01
 """A patch with more clipped pixels than this measures the camera's ceiling, not its gain."""
 
@@ -28,10 +32,10 @@ def checked_gain(value: Any, place: Place) -> Gain:
     values = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value] * 3
     numbers = [float(v) for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
     if len(numbers) != len(values) or len(numbers) != 3:
-        raise InputError(f"the gain is {value!r}, expected a number or three", place=place)
+        raise InputError(f"the gain is {shorten(value)}, expected a number or three", place=place)
     if not all(math.isfinite(v) and v > 0.0 for v in numbers):
         raise InputError(
-            f"the gain is {value!r}, expected finite numbers above 0",
+            f"the gain is {shorten(value)}, expected finite numbers above 0",
             place=place,
             hint="photo = gain x radiance: 0 or less would say that the camera saw no light",
         )
@@ -45,15 +49,11 @@ def load_gains(path: Path) -> dict[int, Gain]:
     the header `frame,gain` or `frame,r,g,b`. Raises InputError: unreadable, a frame twice, no gain.
     """
     place = Place(file=str(path))
-    if not path.is_file():
-        raise InputError("the gain file does not exist", place=place)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        rows = (
-            _from_csv(text, place) if path.suffix.lower() == ".csv" else _from_json(json.loads(text), place)
-        )
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"the gain file cannot be read ({error})", place=place) from None
+    text = read_text(path, WHAT)
+    if path.suffix.lower() == ".csv":
+        rows = _from_csv(text, place)
+    else:
+        rows = _from_json(parse_json(text, WHAT, place), place)
     gains: dict[int, Gain] = {}
     for number, value in rows:
         at = Place(file=str(path), frame=number)
@@ -67,23 +67,46 @@ def load_gains(path: Path) -> dict[int, Gain]:
 
 def _from_json(content: Any, place: Place) -> list[tuple[int, Any]]:
     if isinstance(content, Mapping):
-        return [(int(key), value) for key, value in content.items()]
+        return [(_frame_number(key, place), value) for key, value in content.items()]
     if isinstance(content, list) and all(
         isinstance(e, Mapping) and {"frame", "gain"} <= set(e) for e in content
     ):
-        return [(int(entry["frame"]), entry["gain"]) for entry in content]
+        return [(_frame_number(entry["frame"], place), entry["gain"]) for entry in content]
     raise InputError("expected a mapping of frame numbers to gains, or a list of {frame, gain}", place=place)
 
 
 def _from_csv(text: str, place: Place) -> list[tuple[int, Any]]:
-    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
-    names = [name.strip() for name in reader.fieldnames or []]
-    reader.fieldnames = names
-    if names == ["frame", "gain"]:
-        return [(int(row["frame"]), float(row["gain"])) for row in reader if row["frame"]]
-    if names == ["frame", "r", "g", "b"]:
-        return [(int(row["frame"]), [float(row[c]) for c in "rgb"]) for row in reader if row["frame"]]
-    raise InputError("expected the header `frame,gain` or `frame,r,g,b`", place=place)
+    try:
+        rows = [row for row in csv.reader(text.splitlines(), skipinitialspace=True) if any(row)]
+    except csv.Error as error:
+        raise InputError(f"the {WHAT} cannot be read ({error})", place=place) from None
+    header = [name.strip() for name in rows[0]] if rows else []
+    if header not in (["frame", "gain"], ["frame", "r", "g", "b"]):
+        raise InputError("expected the header `frame,gain` or `frame,r,g,b`", place=place)
+    found: list[tuple[int, Any]] = []
+    for cells in rows[1:]:
+        number = _frame_number(cells[0], place)
+        try:
+            values = [float(cell) for cell in cells[1:]]
+        except ValueError:
+            values = []
+        if len(cells) != len(header) or not values:
+            raise InputError(
+                f"expected {len(header) - 1} numbers after the frame, got `{shorten(','.join(cells[1:]))}`",
+                place=Place(file=place.file, frame=number),
+            )
+        found.append((number, values if len(values) == 3 else values[0]))
+    return found
+
+
+def _frame_number(value: Any, place: Place) -> int:
+    """A whole number, as such or as text. Raises InputError."""
+    text = value.strip() if isinstance(value, str) else ""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if _WHOLE.fullmatch(text):
+        return int(text)
+    raise InputError(f"`{shorten(value)}` is no frame number", place=place)
 
 
 def patch_gain(picture: Picture, patch: PatchSettings, place: Place, *, ceiling: float | None) -> Gain:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mrbatch.capture.marker_video.sequence import check_finite, find_sequence, read_stored
+from mrbatch.capture.marker_video.sequence import find_sequence
 from mrbatch.capture.marker_video.settings import MatteSettings
 from mrbatch.errors import InputError, Place
+from mrbatch.scene.stored_picture import check_finite, read_stored
 
 
 class Mattes:
@@ -41,7 +42,7 @@ class Mattes:
         """
         path = self.path(number)
         place = Place(file=str(path), frame=number)
-        values = read_stored(path, number).values
+        values = read_stored(path, number, what="matte").values
         if values.shape[:2] != (height, width):
             raise InputError(
                 f"the matte is {values.shape[1]}x{values.shape[0]}, the frame {width}x{height}",

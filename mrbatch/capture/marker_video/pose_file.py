@@ -20,8 +20,15 @@ from typing import Any
 
 import numpy as np
 
+from mrbatch.capture.data_file import parse_json, read_text
+from mrbatch.document import shorten
 from mrbatch.errors import InputError, Place
 
+WHAT = "pose file"
+MAX_BYTES = 16 << 20
+"""Some forty thousand poses with all their digits."""
+MAX_DISTANCE = 1e9
+"""Metres from the world's origin to a camera: farther out, float64 itself is no longer exact to 1e-7 m."""
 ORTHONORMAL_TOLERANCE = 1e-4
 """How far R R' may be from the identity: four written decimals, far below what a picture shows."""
 _RVEC_KEYS = ("rvec", "rvec_camera_from_world", "rvec_cam_from_board")
@@ -35,7 +42,7 @@ def rigid(matrix: Any, place: Place) -> np.ndarray:
     """
     try:
         given = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError("the pose is not a matrix of numbers", place=place) from None
     if given.shape == (16,):
         given = given.reshape(4, 4)
@@ -48,8 +55,9 @@ def rigid(matrix: Any, place: Place) -> np.ndarray:
             "the last row of the pose is not 0 0 0 1", place=place, hint="matrices are written row by row"
         )
     rotation = given[:3, :3]
-    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if error > ORTHONORMAL_TOLERANCE:
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not error <= ORTHONORMAL_TOLERANCE:  # so a NaN, from numbers too large to multiply, is refused too
         raise InputError(
             f"the pose's rotation is not orthonormal (R R' differs from the identity by {error:.2g})",
             place=place,
@@ -65,6 +73,16 @@ def rigid(matrix: Any, place: Place) -> np.ndarray:
     pose = np.eye(4)
     pose[:3, :3] = u @ vt
     pose[:3, 3] = given[:3, 3]
+    return _within_reach(pose, place)
+
+
+def _within_reach(pose: np.ndarray, place: Place) -> np.ndarray:
+    """The pose itself. Raises InputError where the camera stands beyond `MAX_DISTANCE`, or nowhere."""
+    farthest = float(np.abs(pose[:3, 3]).max())
+    if not farthest <= MAX_DISTANCE or not np.all(np.isfinite(pose)):
+        raise InputError(
+            f"the camera stands {farthest:g} m from the origin", place=place, hint="poses are in metres"
+        )
     return pose
 
 
@@ -75,14 +93,15 @@ def from_rvec_tvec(rvec: Any, tvec: Any, place: Place) -> np.ndarray:
     try:
         r = np.array(rvec, dtype=np.float64).ravel()
         t = np.array(tvec, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError("rvec and tvec are not numbers", place=place) from None
-    if r.size != 3 or t.size != 3 or not np.all(np.isfinite([r, t])):
+    if r.size != 3 or t.size != 3 or not np.all(np.isfinite([r, t])) or np.abs(r).max() > 1e6:
         raise InputError("rvec and tvec must be three finite numbers each", place=place)
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_rotvec(r).as_matrix().T
-    pose[:3, 3] = -pose[:3, :3] @ t
-    return pose
+    with np.errstate(over="ignore", invalid="ignore"):
+        pose[:3, 3] = -pose[:3, :3] @ t
+    return _within_reach(pose, place)
 
 
 def load_poses(path: str | Path) -> dict[int, np.ndarray]:
@@ -93,17 +112,12 @@ def load_poses(path: str | Path) -> dict[int, np.ndarray]:
     """
     path = Path(path)
     place = Place(file=str(path))
-    if not path.is_file():
-        raise InputError("the pose file does not exist", place=place)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"the pose file cannot be read ({error})", place=place) from None
+    content = parse_json(read_text(path, WHAT, max_bytes=MAX_BYTES), WHAT, place)
     entries: Any = content
     if isinstance(content, Mapping):
         entries = content.get("poses", content.get("frames", content.get("world_from_camera")))
     if not isinstance(entries, list):
-        names = ", ".join(content) if isinstance(content, Mapping) else type(content).__name__
+        names = shorten(", ".join(content)) if isinstance(content, Mapping) else shorten(content)
         raise InputError(
             "no poses found",
             place=place,
@@ -126,7 +140,9 @@ def _frame_number(entry: Any, index: int, place: Place) -> int:
         return index
     number = entry["frame"]
     if isinstance(number, bool) or not isinstance(number, int):
-        raise InputError(f"`frame` of entry {index} is {number!r}, expected a whole number", place=place)
+        raise InputError(
+            f"`frame` of entry {index} is {shorten(number)}, expected a whole number", place=place
+        )
     return number
 
 
@@ -141,7 +157,7 @@ def _pose(entry: Any, place: Place) -> np.ndarray:
         raise InputError(
             "the entry has neither `world_from_camera` nor `rvec` and `tvec`",
             place=place,
-            hint=f"it has {', '.join(entry) or 'no keys'}",
+            hint=f"it has {shorten(', '.join(entry)) or 'no keys'}",
         )
     return from_rvec_tvec(rvec, tvec, place)
 

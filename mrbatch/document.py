@@ -90,14 +90,15 @@ def scalar(text: str) -> Any:
     return text
 
 
-def read_document(text: str, file: str) -> Document:
+def read_document(text: str, file: str, *, max_bytes: int = MAX_BYTES) -> Document:
     """Parses `text`; `file` names it in messages. Raises JobErrors."""
-    return _Reader(text, file).read()
+    return _Reader(text, file, max_bytes).read()
 
 
 class _Reader:
-    def __init__(self, text: str, file: str):
+    def __init__(self, text: str, file: str, max_bytes: int):
         self.text = text
+        self.max_bytes = max_bytes
         self.file = file
         self.lines = text.splitlines()
         self.document = Document(None)
@@ -119,9 +120,9 @@ class _Reader:
         return JobErrors([*self.errors, JobError(message, place=self.place(mark), hint=hint)])
 
     def read(self) -> Document:
-        if len(self.text.encode("utf-8", "surrogatepass")) > MAX_BYTES:
+        if len(self.text.encode("utf-8", "surrogatepass")) > self.max_bytes:
             raise JobErrors(
-                [JobError(f"the file is larger than {MAX_BYTES >> 10} KiB", place=Place(file=self.file))]
+                [JobError(f"the file is larger than {self.max_bytes >> 10} KiB", place=Place(file=self.file))]
             )
         try:
             self._read()
@@ -152,7 +153,7 @@ class _Reader:
             if isinstance(event, DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    raise self.fail("a second document starts here", event.start_mark, "a job file holds one")
+                    raise self.fail("a second document starts here", event.start_mark, "a file holds one")
             elif isinstance(event, NodeEvent):
                 self.document.data = self._node(event, events, ())
 
@@ -172,7 +173,7 @@ class _Reader:
                     JobError(
                         f"tags such as `{_tag_name(event.tag)}` are not allowed",
                         place=self.place(event.start_mark),
-                        hint="leave it out: a job is plain data",
+                        hint="leave it out: only plain data are read",
                     )
                 )
             yield event

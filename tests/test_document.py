@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from mrbatch.document import MAX_DEPTH, read_document, shorten
 from mrbatch.errors import JobErrors
-from mrbatch.job.document import MAX_DEPTH, read_document, shorten
 
 
 def errors_of(text: str):
