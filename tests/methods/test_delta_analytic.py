@@ -348,6 +348,26 @@ def test_strategies_have_the_same_mean():
 # --- furnaces and edges -------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("strategy", ["mis", "environment"])
+def test_more_directions_to_the_light_have_the_same_mean(strategy):
+    """MIS-05: the weights know how many directions are drawn; the noise falls, the shadow rays rise."""
+    objects = [real("floor", floor()), virtual("ball", ball(0.6, at=(0.3, 0, 0.6)), 0.6, camera=False)]
+    scene = scene_of(objects, lamp_sky())
+    one, several = (
+        probe(scene, (-0.4, 0, 0), spp=1024, seed=n, settings={"light_samples": n, "strategy": strategy})
+        for n in (1, 7)
+    )
+    agrees(several.delta, np.hypot(one.delta_error, several.delta_error), one.delta)
+    assert several.delta_error[0] < 0.8 * one.delta_error[0]
+    assert several.counters["shadow rays"] > 4 * one.counters["shadow rays"]
+    seen = [replace(objects[0], camera=False), replace(objects[1], camera=True)]
+    lit = [
+        probe(scene_of(seen, lamp_sky()), (0.3, 0, 1.2), seed=n, settings={"light_samples": n})
+        for n in (1, 8)
+    ]
+    agrees(lit[1].virtual, np.hypot(lit[0].virtual_error, lit[1].virtual_error), lit[0].virtual)
+
+
 @pytest.mark.parametrize(
     "material",
     [Material(reflectance=(1, 1, 1)), Material("conductor", (1, 1, 1), 0.001)],

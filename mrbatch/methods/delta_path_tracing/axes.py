@@ -10,6 +10,9 @@ AXES = (
         "strategy", "method.strategy", ("mis", "environment", "bsdf"), "variance by lobe and map", "lookups"
     ),
     Axis(
+        "light samples", "method.light_samples", (1, 2, 4, 8), "noise of direct light ~ N^-1/2", "shadow rays"
+    ),
+    Axis(
         "sampler", "method.sampler", ("owen", "independent"), "slope -1/2 to -3/4 where smooth", "camera rays"
     ),
     Axis(

@@ -35,7 +35,7 @@ from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
-    balance_heuristic,
+    balance_heuristic_counts,
     max_component,
     offset_origin,
     orthonormal_basis,
@@ -96,6 +96,7 @@ class Settings:
 
     max_edges: wp.int32
     roulette_from: wp.int32
+    light_samples: wp.int32
 
 
 @wp.struct
@@ -134,16 +135,17 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     weigh = flags.strategy == "mis"
 
     @wp.func
-    def light_weight(light_pdf: float, scatter_pdf: float) -> float:
-        # Weight of a direction drawn from the environment.
+    def light_weight(count: int, light_pdf: float, scatter_pdf: float) -> float:
+        # Weight of one of `count` directions drawn from the environment.
+        n = float(count)
         if wp.static(weigh):
-            return balance_heuristic(light_pdf, scatter_pdf)
-        return 1.0
+            return balance_heuristic_counts(n, light_pdf, 1.0, scatter_pdf) / n
+        return 1.0 / n
 
     @wp.func
-    def scatter_weight(scatter_pdf: float, light_pdf: float) -> float:
+    def scatter_weight(scatter_pdf: float, count: int, light_pdf: float) -> float:
         if wp.static(weigh):
-            return balance_heuristic(scatter_pdf, light_pdf)
+            return balance_heuristic_counts(1.0, scatter_pdf, float(count), light_pdf)
         return wp.where(wp.static(sample_light), 0.0, 1.0)
 
     @wp.func
@@ -152,6 +154,11 @@ def make_kernel(flags: Flags) -> DeltaKernel:
         if wp.static(flags.real_on_real):
             return scene.all_set
         return scene.virtual_set
+
+    @wp.func
+    def lights_at(settings: Settings, edges: int) -> int:
+        # Where the camera's ray ends, several: what they find is seen directly.
+        return wp.where(edges == 1, settings.light_samples, 1)
 
     @wp.func
     def survival(throughput: wp.vec3, edges: int, settings: Settings) -> float:
@@ -191,24 +198,29 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             surface = surface_at(scene, photo, point)
             basis = orthonormal_basis(point.ns)
             wo = to_local(basis, -d)
+            lights = lights_at(settings, edges)
             if wp.static(sample_light):
-                light = env_sample(scene.environment, sample_2d_bits(key, index, dimension + DIM_LIGHT))
-                if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
-                    wi = to_local(basis, light.direction)
-                    value = bsdf_evaluate(surface, wo, wi)
-                    if max_component(value) > 0.0:
-                        leg.shadow_rays += 1
-                        o = offset_origin(point.p, point.ng, light.direction, point.reach)
-                        if not occluded(scene_set, o, light.direction, FAR):
-                            leg.lookups += 1
-                            w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
-                            leg.radiance += (
-                                wp.cw_mul(
-                                    wp.cw_mul(throughput, value),
-                                    env_radiance(scene.environment, light.direction),
+                for number in range(lights):
+                    light = env_sample(
+                        scene.environment,
+                        sample_2d_bits(key, index * lights + number, dimension + DIM_LIGHT),
+                    )
+                    if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                        wi = to_local(basis, light.direction)
+                        value = bsdf_evaluate(surface, wo, wi)
+                        if max_component(value) > 0.0:
+                            leg.shadow_rays += 1
+                            o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                            if not occluded(scene_set, o, light.direction, FAR):
+                                leg.lookups += 1
+                                w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
+                                leg.radiance += (
+                                    wp.cw_mul(
+                                        wp.cw_mul(throughput, value),
+                                        env_radiance(scene.environment, light.direction),
+                                    )
+                                    * w
                                 )
-                                * w
-                            )
             drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
             if max_component(drawn.weight) <= 0.0:
                 break
@@ -220,7 +232,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             o = offset_origin(point.p, point.ng, d, point.reach)
             hit = trace(scene_set, o, d, FAR)
             if hit.triangle < 0:
-                w = scatter_weight(drawn.pdf, env_pdf(scene.environment, d))
+                w = scatter_weight(drawn.pdf, lights, env_pdf(scene.environment, d))
                 if w > 0.0:
                     leg.lookups += 1
                     leg.radiance += wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
@@ -305,33 +317,41 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             surface = bare_at(scene, frame.photo, point)
                             basis = orthonormal_basis(point.ns)
                             wo = to_local(basis, -d)
+                            lights = lights_at(settings, edges)
                             if wp.static(sample_light):
-                                light = env_sample(
-                                    scene.environment, sample_2d_bits(key, index, dimension + DIM_LIGHT)
-                                )
-                                if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
-                                    wi = to_local(basis, light.direction)
-                                    f = bsdf_evaluate(surface, wo, wi)
-                                    if max_component(f) > 0.0:
-                                        shadow_rays += 1
-                                        o = offset_origin(point.p, point.ng, light.direction, point.reach)
-                                        lost = occluded(scene.virtual_set, o, light.direction, FAR)
-                                        if wp.static(flags.real_on_real):
+                                for number in range(lights):
+                                    light = env_sample(
+                                        scene.environment,
+                                        sample_2d_bits(key, index * lights + number, dimension + DIM_LIGHT),
+                                    )
+                                    if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                                        wi = to_local(basis, light.direction)
+                                        f = bsdf_evaluate(surface, wo, wi)
+                                        if max_component(f) > 0.0:
+                                            shadow_rays += 1
+                                            o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                                            lost = occluded(scene.virtual_set, o, light.direction, FAR)
+                                            if wp.static(flags.real_on_real):
+                                                if lost:
+                                                    shadow_rays += 1
+                                                    lost = not occluded(
+                                                        scene.real_set, o, light.direction, FAR
+                                                    )
                                             if lost:
-                                                shadow_rays += 1
-                                                lost = not occluded(scene.real_set, o, light.direction, FAR)
-                                        if lost:
-                                            lookups += 1
-                                            changes = bool(True)
-                                            w = light_weight(light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
-                                            f = wp.cw_mul(f, reflectance_at(scene, frame.photo, point))
-                                            blocked -= (
-                                                wp.cw_mul(
-                                                    wp.cw_mul(throughput, f),
-                                                    env_radiance(scene.environment, light.direction),
+                                                lookups += 1
+                                                changes = bool(True)
+                                                w = (
+                                                    light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi))
+                                                    / light.pdf
                                                 )
-                                                * w
-                                            )
+                                                f = wp.cw_mul(f, reflectance_at(scene, frame.photo, point))
+                                                blocked -= (
+                                                    wp.cw_mul(
+                                                        wp.cw_mul(throughput, f),
+                                                        env_radiance(scene.environment, light.direction),
+                                                    )
+                                                    * w
+                                                )
                             drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
                             if max_component(drawn.weight) <= 0.0:
                                 break
@@ -373,7 +393,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                 changes = bool(True)
                                 fork_throughput = throughput
                                 if behind_triangle < 0:
-                                    w = scatter_weight(drawn.pdf, env_pdf(scene.environment, d))
+                                    w = scatter_weight(drawn.pdf, lights, env_pdf(scene.environment, d))
                                     if w > 0.0:
                                         lookups += 1
                                         lost_light = env_radiance(scene.environment, d)

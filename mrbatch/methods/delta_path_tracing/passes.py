@@ -56,6 +56,7 @@ def build(scene: DeviceScene, plan: Plan, settings: DeltaPathTracingSettings, ou
     flags = make_flags(scene, plan, settings, outputs)
     numbers = Settings()
     numbers.max_edges = settings.max_depth or UNLIMITED
+    numbers.light_samples = settings.light_samples
     numbers.roulette_from = UNLIMITED if settings.max_depth else settings.roulette_depth
     frame_passes: list[Pass] = []
     refine: list[Pass] = []

@@ -34,6 +34,9 @@ class DeltaPathTracingSettings(Settings):
         description="How directions are drawn from the map: leaves of equal light found without a search, or "
         "texel by texel from summed rows and columns; `auto`: leaves where they add no noise",
     )
+    light_samples: Annotated[int, Field(ge=1, le=64)] = Field(
+        1, description="Directions drawn from the map where the camera's ray ends, for each sample, 1..64"
+    )
     pixel_filter: Literal["box", "gaussian", "blackman-harris"] = Field(
         "box", description="Reconstruction filter of the virtual layers; the photo is never filtered"
     )
