@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 import time
 from dataclasses import dataclass, replace
@@ -28,7 +29,8 @@ from mrbatch.batch.shot import commit_shot
 from mrbatch.batch.stand_in import write_stand_in
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import MrbatchError, worst_exit_code
-from mrbatch.film.exr import verify_frame
+from mrbatch.film.layers import empty
+from mrbatch.film.verification import verify_frame
 from mrbatch.job import select_frames
 from mrbatch.job.frames import beyond, check_within, includes
 from mrbatch.job.model import Job
@@ -94,13 +96,15 @@ def render_job(
         absent={n: error for n, error in prepared.absent.items() if n in chosen},
         facts=facts,
     )
+    views = tuple(prepared.display) if len(prepared.display) > 1 else ("",)
+    verify = functools.partial(verify_frame, channels=tuple(empty(prepared.layers, 1, 1)), views=views)
     forecast = tell.Forecast()
     with _Renderer(prepared, timing, threads, units_per_launch, events, forecast) as render:
         request = render.with_history(request)
         result = run(
             request,
             render,
-            verify_frame,
+            verify,
             events=events,
             stop=stop,
             forecast=forecast,

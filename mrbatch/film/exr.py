@@ -6,9 +6,8 @@ sorted keys, and neither host, path nor threads show. Cameras: see `camera_metad
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -331,25 +330,11 @@ def frame_metadata(path: Path) -> dict[str, Any]:
     return {"bytes": Path(path).stat().st_size, "parts": parts}
 
 
-def verify_frame(path: Path, channels: Iterable[str] | None = None) -> str:
-    """Reads a written frame back as a whole and gives the SHA-256 of the file in hexadecimal.
+def open_parts(path: Path) -> Iterator[tuple[Any, int, Any, dict[str, Any]]]:
+    """For each part of an EXR: the open file, the part's number, its spec and its attributes.
 
-    `channels`: names that every view must have. Raises InputError where the file cannot be read to its
-    end, a channel is missing or a number is NaN or infinite.
+    Raises InputError where the file is absent, damaged or no EXR; what is read of it is the caller's.
     """
-    wanted = set(channels or ())
-    for spec, _, pixels in _parts(path, MAX_VALUES):
-        missing = sorted(wanted - set(spec.channelnames))
-        if missing:
-            raise InputError(f"channels {', '.join(missing)} are missing", place=Place(file=str(path)))
-        if not np.isfinite(pixels).all():
-            raise InputError("a channel holds NaN or infinity", place=Place(file=str(path)))
-    with Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _parts(path: Path, max_values: int | None) -> Iterator[tuple[Any, dict[str, Any], Any]]:
-    """Each part's spec, its attributes, and its pixels (h, w, channels) float32; no pixels for None."""
     import OpenImageIO as oiio
 
     place = Place(file=str(path))
@@ -366,19 +351,12 @@ def _parts(path: Path, max_values: int | None) -> Iterator[tuple[Any, dict[str, 
         index = 0
         while source.seek_subimage(index, 0):
             spec = source.spec()
-            attributes = {_STANDARD_NAMES.get(a.name, a.name): a.value for a in spec.extra_attribs}
-            pixels = None
-            if max_values is not None:
-                if spec.width * spec.height * spec.nchannels > max_values:
-                    raise InputError(
-                        f"{spec.width} x {spec.height} with {spec.nchannels} channels is more than the limit",
-                        place=place,
-                    )
-                pixels = source.read_image(index, 0, 0, spec.nchannels, "float")
-                if pixels is None or source.geterror():
-                    source.geterror()
-                    raise unreadable(path, "an EXR frame", ("EXR",))
-            yield spec, attributes, pixels
+            yield (
+                source,
+                index,
+                spec,
+                {_STANDARD_NAMES.get(a.name, a.name): a.value for a in spec.extra_attribs},
+            )
             index += 1
         source.geterror()  # seeking past the last part leaves a message
     except UnicodeDecodeError as error:  # from names, values, and messages that quote them
@@ -386,6 +364,22 @@ def _parts(path: Path, max_values: int | None) -> Iterator[tuple[Any, dict[str, 
     finally:
         if source is not None:
             source.close()
+
+
+def _parts(path: Path, max_values: int | None) -> Iterator[tuple[Any, dict[str, Any], Any]]:
+    """Each part's spec, its attributes, and its pixels (h, w, channels) float32; no pixels for None."""
+    for source, index, spec, attributes in open_parts(path):
+        pixels = None
+        if max_values is not None:
+            if spec.width * spec.height * spec.nchannels > max_values:
+                raise InputError(
+                    f"{spec.width} x {spec.height} with {spec.nchannels} channels is more than the limit",
+                    place=Place(file=str(path)),
+                )
+            pixels = source.read_image(index, 0, 0, spec.nchannels, "float")
+            if source.geterror() or pixels is None:
+                raise unreadable(path, "an EXR frame", ("EXR",))
+        yield spec, attributes, pixels
 
 
 _STANDARD_NAMES = {

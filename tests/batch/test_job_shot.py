@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -124,3 +125,20 @@ def test_hold_last_shows_the_frame_before(tmp_path):
     assert (held.number, held.metadata["held_from"]) == (1, 0)
     assert dict(held.metadata) == {**first.metadata, "held_from": 0}
     assert render(path).result.findings.stand_ins == (1,)
+
+
+def test_a_frame_without_one_of_its_channels_is_not_committed(tmp_path, monkeypatch):
+    """What is written is read back: a layer that got lost on the way is no finished frame."""
+    path = write_job(tmp_path, (0,))
+    write = render_module.write_frame
+
+    def lossy(target, image):
+        views = {}
+        for name, view in image.views.items():
+            views[name] = replace(view, channels={c: v for c, v in view.channels.items() if c != "delta.G"})
+        write(target, replace(image, views=views))
+
+    monkeypatch.setattr(render_module, "write_frame", lossy)
+    outcome = render(path)
+    assert frames_in(tmp_path / "out") == {} and outcome.exit_code != 0
+    assert "delta.G" in str(outcome.result.failed[0].error)

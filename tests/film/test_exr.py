@@ -27,9 +27,9 @@ from mrbatch.film.exr import (
     choose_colour_type,
     frame_metadata,
     read_frame,
-    verify_frame,
     write_frame,
 )
+from mrbatch.film.verification import verify_frame
 from mrbatch.film.window import Window
 from mrbatch.kernels.transfer import TRANSFERS, from_linear, to_linear
 from mrbatch.scene.camera import Camera
