@@ -26,6 +26,7 @@ from mrbatch.errors import InputError, Place, ResourceError
 from mrbatch.film.exr import choose_colour_type
 from mrbatch.film.layers import needs
 from mrbatch.film.window import Window
+from mrbatch.job.confine import check_confined
 from mrbatch.job.model import Job
 from mrbatch.job.resolve import pixel_relevant, placeless
 from mrbatch.scene.build import build_scene, scene_files
@@ -139,10 +140,12 @@ def look_at(
     timing: TimingNode,
     progress: Progress = no_progress,
 ) -> Opened:
-    """Hashes every input of an opened capture. Raises InputError."""
+    """Hashes every input of an opened capture. Raises InputError, JobErrors for files outside the fence."""
     with timing.measure("open"):
         files = [Path(p) for p in capture.inputs()]
         files += scene_files(job.environment, job.real, job.virtual)
+    # Patterns and meshes name files that the job's own paths do not tell.
+    check_confined(files, job.fence)
     with timing.measure("hash inputs"):
         inputs = [list(pair) for pair in input_hashes(files, job.folder, progress)]
     return Opened(capture, numbers, {**own_facts(job), "inputs": inputs})

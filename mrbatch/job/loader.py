@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from mrbatch.document import MAX_BYTES, Document, read_document, shorten
 from mrbatch.errors import JobError, JobErrors, MrbatchError, Place
 from mrbatch.job.choice import Loc
+from mrbatch.job.confine import HINT, fence_of, leads_out, strays
 from mrbatch.job.messages import dotted, job_errors
 from mrbatch.job.model import Job
 from mrbatch.job.overrides import Override, apply_overrides
@@ -72,7 +73,7 @@ def settle(
 ) -> Job:
     """Makes all paths absolute, checks them against `confine`, and notes where things stood."""
     errors: list[MrbatchError] = []
-    fence = Path(os.path.realpath(confine)) if confine is not None else None
+    fence = fence_of(confine)
 
     def absolute(value: Path, loc: Loc) -> Path:
         if any(not c.isprintable() for c in str(value)):
@@ -81,12 +82,12 @@ def settle(
             )
             return value
         result = Path(os.path.abspath(folder / value))
-        if fence is not None and not Path(os.path.realpath(result)).is_relative_to(fence):
+        if fence is not None and leads_out(result, fence):
             errors.append(
                 JobError(
                     f"`{dotted(loc)}`: the path `{shorten(value)}` leads out of {fence}",
                     place=document.place(loc),
-                    hint="the job was confined to that folder by --confine",
+                    hint=HINT,
                 )
             )
         return result
@@ -96,6 +97,7 @@ def settle(
         raise JobErrors(errors)
     job._file = file
     job._folder = folder
+    job._fence = fence
     job._places = {**document.keys, **document.values}
     return job
 
@@ -108,12 +110,14 @@ def check_files(job: Job) -> None:
         if written:
             if path.exists() and not path.is_dir():
                 errors.append(JobError(f"`{dotted(loc)}`: {path} is a file, not a folder", place=place))
-        elif not _is_there(path):
+        elif not _there(path):
             errors.append(
                 JobError(f"`{dotted(loc)}`: there is no file {path}", place=place, hint=_near(path))
             )
         elif path.exists() and not os.access(path, os.R_OK):
             errors.append(JobError(f"`{dotted(loc)}`: the file {path} may not be read", place=place))
+        elif job.fence is not None:
+            errors += strays(_there(path), job.fence, place)
     if errors:
         raise JobErrors(errors)
 
@@ -180,19 +184,19 @@ def _name_from(file: Path) -> str:
 _PATTERN = re.compile(r"\{[^{}]*\}|%0?\d*d|#+|\*|\?")
 
 
-def _is_there(path: Path) -> bool:
-    """Whether a path, or at least one file of a pattern such as `photo_{frame:04d}.png`, is there."""
+def _there(path: Path) -> list[Path]:
+    """The file of a path, or those of a pattern such as `photo_{frame:04d}.png`."""
     if path.exists():
-        return True
+        return [path]
     if not _PATTERN.search(path.name) or not path.parent.is_dir():
-        return False
+        return []
     wanted = re.compile(
         "".join(
             ".*" if _PATTERN.fullmatch(part) else re.escape(part)
             for part in re.split(f"({_PATTERN.pattern})", path.name)
         )
     )
-    return any(wanted.fullmatch(name) for name in os.listdir(path.parent))
+    return [path.parent / name for name in sorted(os.listdir(path.parent)) if wanted.fullmatch(name)]
 
 
 def _near(path: Path) -> str | None:

@@ -198,6 +198,7 @@ class Job(Settings):
 
     _file: Path | None = PrivateAttr(None)
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
+    _fence: Path | None = PrivateAttr(None)
     _places: dict[Loc, Place] = PrivateAttr(default_factory=dict)
 
     @property
@@ -209,6 +210,11 @@ class Job(Settings):
     def folder(self) -> Path:
         """The folder that relative paths count from, absolute."""
         return self._folder
+
+    @property
+    def fence(self) -> Path | None:
+        """The folder that the job was confined to, its links resolved; None for no such word."""
+        return self._fence
 
     @property
     def capture_kind(self) -> str:
@@ -237,7 +243,7 @@ class Job(Settings):
         # Settings models made for a registry cannot be found by name when unpickling: a job travels as data.
         from mrbatch.job.resolve import rebuild, resolved
 
-        return rebuild, (resolved(self), self._file, self._folder, self._places)
+        return rebuild, (resolved(self), self._file, self._folder, self._places, self._fence)
 
     @field_validator("real", "virtual")
     @classmethod

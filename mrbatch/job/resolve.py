@@ -37,9 +37,12 @@ def pixel_relevant(job: Job) -> dict[str, Any]:
     return part
 
 
-def rebuild(data: dict[str, Any], file: Path | None, folder: Path, places: dict[Loc, Place]) -> Job:
+def rebuild(
+    data: dict[str, Any], file: Path | None, folder: Path, places: dict[Loc, Place], fence: Path | None = None
+) -> Job:
     """The job that `resolved` was made from. Raises ValidationError."""
-    return settle(Job.model_validate(data, context=data), Document(data, {}, places), file, folder)
+    job = Job.model_validate(data, context=data)
+    return settle(job, Document(data, {}, places), file, folder, confine=fence)
 
 
 def _relative(job: Job) -> Job:

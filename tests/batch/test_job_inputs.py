@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import pytest
 from small_job import CRATE, codes, frames_in, write_job, write_picture
 
 from mrbatch.batch.job_run import plan_job, render_job
-from mrbatch.job import load_job
+from mrbatch.errors import InputError, JobErrors
+from mrbatch.job import check_files, load_job
 
 
 def apart(folder: Path) -> Path:
@@ -143,11 +145,56 @@ def test_the_frame_of_the_patch_is_an_input_though_it_is_not_rendered(tmp_path):
 
 @pytest.mark.parametrize("number", [3, 9])
 def test_a_patch_frame_that_is_not_there_is_still_named(tmp_path, number):
-    from mrbatch.errors import InputError
-
     path = write_job(tmp_path, (0, 1))
     content = json.loads(path.read_text(encoding="utf-8"))
     content["capture"]["gain"] = {"patch": {"frame": number, "rectangle": [8, 8, 8, 8], "radiance": 0.5}}
     path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(InputError, match="names a frame that is not there"):
         plan_job(load_job(path))
+
+
+@pytest.fixture
+def fenced(tmp_path):
+    """A job inside of a folder, and things outside that it must not get at."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    path = write_job(tmp_path / "inside", (0, 1))
+    return path, outside
+
+
+def confined(path: Path):
+    job = load_job(path, confine=path.parent)
+    return plan_job(pickle.loads(pickle.dumps(job)))
+
+
+def test_a_frame_of_a_pattern_may_not_be_a_link_to_the_outside(fenced):
+    path, outside = fenced
+    confined(path)
+    shutil.move(path.parent / "photo_0001.png", outside / "secret.png")
+    link(path.parent / "photo_0001.png", outside / "secret.png")
+    plan_job(load_job(path))  # only who is confined is refused
+    with pytest.raises(JobErrors, match="leads out of"):
+        confined(path)
+    with pytest.raises(JobErrors, match=r"photo_0001\.png leads out of") as caught:
+        check_files(load_job(path, confine=path.parent))
+    assert caught.value.errors[0].place.line == 1  # that of `frames` in the job file
+
+
+def test_a_buffer_of_a_mesh_may_not_be_a_link_to_the_outside(fenced):
+    path, outside = fenced
+    content = json.loads(path.read_text(encoding="utf-8"))
+    content["virtual"] = [{"name": "thing", "mesh": "thing.gltf"}]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    triangle(path.parent)
+    confined(path)
+    shutil.move(path.parent / "thing.bin", outside / "secret.bin")
+    link(path.parent / "thing.bin", outside / "secret.bin")
+    with pytest.raises(JobErrors, match="leads out of"):
+        confined(path)
+
+
+def link(path: Path, target: Path) -> None:
+    try:
+        path.symlink_to(target)
+    except OSError:
+        pytest.skip("no symbolic links here")

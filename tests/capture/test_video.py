@@ -470,3 +470,25 @@ def test_the_real_panorama_video_opens(shared_data):
         picture = reader.picture(60, info)
     assert picture.linear.shape == (2160, 2160, 3)
     assert 0.01 < picture.linear[:1080].mean() < 0.9
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{file}\n#EXT-X-ENDLIST\n",
+        "ffconcat version 1.0\nfile {file}\n",
+        '<?xml version="1.0"?><MPD xmlns="urn:mpeg:dash:schema:mpd:2011" type="static"><Period>'
+        '<AdaptationSet><Representation id="1"><BaseURL>{file}</BaseURL></Representation>'
+        "</AdaptationSet></Period></MPD>",
+    ],
+    ids=["hls", "concat", "dash"],
+)
+@pytest.mark.parametrize("suffix", [".mp4", ".m3u8", ".txt"])
+@pytest.mark.parametrize("binary", [False, True])
+def test_playlists_lead_to_no_other_file(tmp_path, text, suffix, binary):
+    """Not even one that stands beside them; a byte that is no text takes them past the look at the file."""
+    assert len(build_frame_table(write(tmp_path / "beside.ts", "libx264", "yuv420p", grey_frames(40)))) == 40
+    content = text.format(file="beside.ts").encode()
+    (tmp_path / f"list{suffix}").write_bytes(content + (b"# \xff\xfe\x00\n" if binary else b""))
+    with pytest.raises(InputError, match="this is not a video"):
+        build_frame_table(tmp_path / f"list{suffix}")

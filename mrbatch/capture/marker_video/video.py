@@ -24,6 +24,12 @@ from mrbatch.scene.file_kind import EMPTY, TEXT, VIDEOS, file_kind, unreadable
 
 MAX_PIXELS = 2**27
 """A picture that claims more is refused before memory is asked for."""
+CONTAINERS = (
+    *("mov", "mp4", "m4a", "3gp", "3g2", "mj2", "matroska", "webm", "avi", "mpegts", "mpeg", "mpegvideo"),
+    *("m4v", "h264", "hevc", "vvc", "av1", "obu", "ivf", "flv", "asf", "ogg", "mxf", "gxf", "nut", "dv"),
+    *("mjpeg", "yuv4mpegpipe", "dirac", "dnxhd", "vc1", "gif", "apng", "rm"),
+)
+"""FFmpeg's names of the containers that are opened: none of them names other files."""
 _AHEAD = 8
 """Up to so many frames ahead, decoding on is cheaper than a seek."""
 
@@ -98,8 +104,9 @@ def _open(path: Path) -> tuple[Any, Any]:
         # A playlist or subtitles to the demuxer, never footage.
         raise unreadable(path, "a video", VIDEOS)
     try:
-        # Only plain files: a playlist must not lead the demuxer to the network.
-        container = av.open(str(path.resolve()), options={"protocol_whitelist": "file"})
+        # Only plain files that hold all of themselves: no playlist may lead to other files or the network.
+        options = {"protocol_whitelist": "file", "format_whitelist": ",".join(CONTAINERS)}
+        container = av.open(str(path.resolve()), options=options)
     except (av.error.FFmpegError, UnicodeDecodeError):
         raise unreadable(path, "a video", VIDEOS) from None
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
