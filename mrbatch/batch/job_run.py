@@ -19,7 +19,7 @@ from mrbatch.batch.directory import (
 )
 from mrbatch.batch.job_report import holdings, machine, report_of, versions
 from mrbatch.batch.journal import JournalReader, JournalWriter, RunEntry
-from mrbatch.batch.prepare import Prepared, look_at, open_capture, own_facts, prepare
+from mrbatch.batch.prepare import Prepared, look_at, no_progress, open_capture, own_facts, prepare
 from mrbatch.batch.presence import Owner
 from mrbatch.batch.previews import make_previews
 from mrbatch.batch.render import RenderedFrame, ShotRenderer
@@ -27,6 +27,7 @@ from mrbatch.batch.request import RunRequest, RunResult
 from mrbatch.batch.run import run
 from mrbatch.batch.shot import commit_shot
 from mrbatch.batch.stand_in import write_stand_in
+from mrbatch.contracts import Progress
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import MrbatchError, worst_exit_code
 from mrbatch.film.layers import empty
@@ -303,6 +304,6 @@ class _Renderer:
         return shot.render(number, history)
 
 
-def plan_job(job: Job) -> Prepared:
+def plan_job(job: Job, *, progress: Progress = no_progress) -> Prepared:
     """Opens, solves and plans a job without rendering or writing anything."""
-    return prepare(job, TimingNode(job.name), write=False)
+    return prepare(job, TimingNode(job.name), write=False, progress=progress)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -27,18 +28,36 @@ def progress(
     `event` and what the event carries. Writing happens on a thread of its own: a reader that stops
     reading, or goes away, holds up nothing.
     """
-    out = stream if stream is not None else sys.stderr
-    if mode == "auto":
-        mode = "bar" if _is_terminal(out) else "plain"
-    if mode == "none":
-        yield tell.ignore
-    elif mode == "bar":
-        with _bar(out) as sink, tell.Background(sink) as background:
-            yield background
-    else:
-        lines: tell.EventSink = JsonLines(out) if mode == "json" else PlainLines(out, clock)
-        with tell.Background(lines) as background:
-            yield background
+    with _own_stderr() if stream is None else contextlib.nullcontext(stream) as out:
+        if mode == "auto":
+            mode = "bar" if _is_terminal(out) else "plain"
+        if mode == "none":
+            yield tell.ignore
+        elif mode == "bar":
+            with _bar(out) as sink, tell.Background(sink) as background:
+                yield background
+        else:
+            lines: tell.EventSink = JsonLines(out) if mode == "json" else PlainLines(out, clock)
+            with tell.Background(lines) as background:
+                yield background
+
+
+@contextlib.contextmanager
+def _own_stderr() -> Iterator[IO[str]]:
+    """Standard error under a handle of its own: descriptor 2 is shut for a moment while Warp starts, and what
+    another thread writes there meanwhile would be lost."""
+    try:
+        sys.stderr.flush()
+        handle = os.dup(sys.stderr.fileno())
+    except (OSError, ValueError, AttributeError):
+        yield sys.stderr
+        return
+    stream = open(handle, "w", encoding=sys.stderr.encoding or "utf-8", errors="backslashreplace")  # noqa: SIM115
+    try:
+        yield stream
+    finally:
+        with contextlib.suppress(OSError):
+            stream.close()
 
 
 class JsonLines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -104,6 +105,7 @@ class ShotRenderer:
             for kind, names in self._names.items()
         }
         self._settings = pixel_relevant(job)
+        self._versions = pixel_versions(shot.engine)
 
     @property
     def has_history(self) -> bool:
@@ -179,7 +181,7 @@ class ShotRenderer:
         metadata = {
             "job_hash": prepared.job_hash,
             "frame": number,
-            "seconds": data.time,
+            "time": data.time,
             "method": job.method_name,
             "settings": self._settings,
             "plan": {name: v.state for name, v in shot.plan.effects.items()},
@@ -189,7 +191,7 @@ class ShotRenderer:
             "engine": shot.engine,
             "colour_type": shot.colour_reason,
             "error_estimate": {"relMSE": errors, "of": "noise, where something virtual changes the picture"},
-            "versions": {"mrbatch": __version__},
+            "versions": self._versions,
             "flags": list(data.flags),
         }
         image = FrameImage(
@@ -209,6 +211,8 @@ class ShotRenderer:
         details = {
             "time": data.time,
             "flags": list(data.flags),
+            "threads": self.runner.threads,
+            "units_per_launch": self.runner.units_per_launch or "by number of units and threads",
             "error": max(errors.values()) if errors else 0.0,
             "timing": timing.as_dict(),
         }
@@ -263,6 +267,17 @@ class ShotRenderer:
             if layer in self.prepared.layers:
                 found.update(cryptomatte.metadata(name, self._names[layer.removeprefix("crypto_")]))
         return found
+
+
+def pixel_versions(engine: str) -> dict[str, str]:
+    """Of this program and the libraries that a frame's bytes go through."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {"mrbatch": __version__}
+    for name in ("warp-lang", "numpy", "OpenImageIO", *(["embreex"] if engine == "embree" else [])):
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _renamed(node: TimingNode, name: str) -> TimingNode:

@@ -21,6 +21,8 @@ from mrbatch.errors import EXIT_INTERRUPTED, EXIT_RESOURCES, EXIT_USAGE, JobErro
 EXIT_INTERNAL = 70
 """A defect of the program (`EX_SOFTWARE` of sysexits.h), none of the codes that scripts act on."""
 
+DEBUG_HELP = "Show the traceback of an error."
+
 COMMANDS: dict[str, tuple[str, str]] = {
     "render": ("mrbatch.cli.render:command", "Render a job's frames."),
     "plan": ("mrbatch.cli.plan:command", "Say which effects a job's frames call for, and why."),
@@ -44,7 +46,15 @@ class LazyGroup(click.Group):
         if name not in COMMANDS:
             return None
         module, _, attribute = COMMANDS[name][0].partition(":")
-        return getattr(import_module(module), attribute)
+        command: click.Command = getattr(import_module(module), attribute)
+        if not any(option.name == "debug" for option in command.params):
+            # Only for the help: `main` takes it out of the line wherever it stands.
+            command.params.append(
+                click.Option(
+                    ["--debug"], is_flag=True, expose_value=False, help="Show the traceback of an error."
+                )
+            )
+        return command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and not args[0].startswith("-") and args[0] not in COMMANDS:
@@ -125,6 +135,6 @@ def show_error(error: BaseException, *, debug: bool = False) -> int:
 
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="mrbatch", message="%(prog)s %(version)s")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@click.option("--debug", is_flag=True, help=DEBUG_HELP)
 def main(debug: bool) -> None:
     """Put virtual objects and volumes into captured datasets, lit by what was captured."""

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from mrbatch.errors import InputError, Place
+
 
 @click.command("info")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
@@ -20,12 +22,24 @@ def command(files: Sequence[Path], as_json: bool) -> None:
     """
     from mrbatch.film.exr import frame_metadata
 
+    for path in files:
+        if path.is_dir():
+            raise _folder(path)
     told = [{"file": str(path), **frame_metadata(path)} for path in files]
     if as_json:
         click.echo(json.dumps(told[0] if len(told) == 1 else told, indent=2, ensure_ascii=False))
         return
     for one in told:
         _show(one)
+
+
+def _folder(path: Path) -> InputError:
+    """What to do with a folder: name one of its frames, or ask for its report."""
+    frames = sorted(p for p in path.glob("*.exr") if not p.name.startswith("."))
+    hint = f"name a frame: `mrbatch info {frames[0]}`" if frames else "name an EXR frame"
+    if (path / "job.json").is_file():
+        hint += f"; of the whole job tells `mrbatch report {path}`"
+    return InputError("this is a folder, not a frame", place=Place(file=str(path)), hint=hint)
 
 
 def _show(told: Mapping[str, Any]) -> None:
@@ -106,6 +120,10 @@ def _value(name: str, value: Any) -> str:
     if name == "framesPerSecond" and isinstance(value, list):
         over, under = value
         return f"{over / under:.6g}" + (f" ({over}/{under})" if under != 1 else "")
+    if name == "time" and isinstance(value, (int, float)):
+        return f"{value:.6g} s of the footage"
+    if value == []:
+        return "none"
     if isinstance(value, list) and len(value) == 16 and _numbers(value):
         return "\n".join(" ".join(f"{v:10.5g}" for v in value[i : i + 4]) for i in range(0, 16, 4))
     return "\n".join(_outline(value))
@@ -123,6 +141,8 @@ def _outline(value: Any) -> list[str]:
         return [f"{value:.6g}"]
     if isinstance(value, list) and _numbers(value):
         return [" ".join(f"{v:.6g}" for v in value)]
+    if isinstance(value, dict) and list(value) == [""]:  # by view, of which there is one without a name
+        return _outline(value[""])
     short = json.dumps(value, ensure_ascii=False)
     if len(short) <= 72 or not isinstance(value, (dict, list)):
         return [short]

@@ -270,6 +270,19 @@ def test_previews_keep_the_codes(tmp_path, dtype):
     assert np.array_equal(shown, given)
 
 
+def test_what_depends_on_the_machine_is_in_the_journal(tmp_path):
+    """Threads and size of launches; frames carry versions of libraries, and no time but the footage's."""
+    path = write_job(tmp_path, (1,))
+    render_job(load_job(path), threads=2, units_per_launch=3, report=False)
+    (journal,) = (tmp_path / "out" / "journal").iterdir()
+    frame, run = (json.loads(line) for line in journal.read_text(encoding="utf-8").splitlines())
+    assert (frame["details"]["threads"], frame["details"]["units_per_launch"]) == (2, 3)
+    assert run["kind"] == "run" and run["machine"]["cores"]
+    told = read_frame(tmp_path / "out" / "small.0001.exr").metadata
+    assert {"mrbatch", "warp-lang", "numpy", "OpenImageIO"} <= told["versions"].keys()
+    assert "seconds" not in told and told["time"] == 0.0
+
+
 def test_the_report_is_whole(tmp_path):
     path = write_job(tmp_path, (0, 1))
     outcome = render(path, report=True)

@@ -345,6 +345,30 @@ def test_nan_in_an_exr_background(tmp_path, shot):
     assert caught.value.place.frame == 1
 
 
+def test_frames_cut_off_a_video_are_absent(shot):
+    """What the file announces beyond its last frame is missing, as a gap in a sequence is."""
+    import av
+
+    with av.open(str(shot / "whole.mp4"), "w", options={"movflags": "faststart"}) as container:
+        stream = container.add_stream("mpeg4", rate=25, options={"qscale": "1", "g": "1"})
+        stream.width, stream.height, stream.pix_fmt = W, H, "yuv420p"
+        for n in range(8):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(codes_of(n)[..., :3], format="rgb24")))
+        container.mux(stream.encode())
+    data = (shot / "whole.mp4").read_bytes()
+    (shot / "cut.mp4").write_bytes(data[: -len(data) // 4])
+    assert prepared(shot, frames="whole.mp4")[1]["absent"] == {}
+    capture, table = prepared(shot, frames="cut.mp4")
+    there = len(capture.frame_numbers())
+    assert 2 < there < 8
+    assert list(table["absent"]) == [str(n) for n in range(there, 8)]
+    assert any(note.startswith(f"missing in the footage: {8 - there} frame") for note in table["notes"])
+    assert list(prepared(shot, frames="cut.mp4", subset={"last": there})[1]["absent"]) == [str(there)]
+    for rate in (25, None):
+        until = {"to_time": f"{there / 25} s"}
+        assert prepared(shot, frames="cut.mp4", frame_rate=rate, subset=until)[1]["absent"] == {}
+
+
 def test_missing_video(tmp_path):
     with pytest.raises(InputError, match="there is no such video"):
         opened(tmp_path, frames="shot.mp4").prepare()

@@ -30,7 +30,13 @@ def frame(tmp_path):
         Window(2, 1, 4, 3),
         frames_per_second=Fraction(25),
         owner="Jane Doe",
-        metadata={"plan": {"shadow": "needed"}, "seed": 7},
+        metadata={
+            "plan": {"shadow": "needed"},
+            "seed": 7,
+            "time": 0.2,
+            "influence": {"": "9 of 12 tiles"},
+            "flags": [],
+        },
     )
     write_frame(path, image)
     return path
@@ -54,6 +60,9 @@ def test_a_person_reads_it(frame):
         'plan {"shadow": "needed"}',
         "seed 7",
         "frame 1001",
+        "time 0.2 s of the footage",
+        "influence 9 of 12 tiles",
+        "flags none",
     ):
         assert piece in words, piece
 
@@ -96,3 +105,10 @@ def test_what_is_no_frame_is_an_input_error(tmp_path, frame):
 
     cv2.imwrite(str(png), np.zeros((2, 2, 3), np.uint8))
     assert "png" in str(CliRunner().invoke(command, [str(png)]).exception)
+
+
+def test_a_folder_is_told_what_to_do(tmp_path, frame):
+    message = str(CliRunner().invoke(command, [str(tmp_path)]).exception)
+    assert "this is a folder" in message and f"`mrbatch info {frame}`" in message
+    (tmp_path / "job.json").write_text("{}")
+    assert f"`mrbatch report {tmp_path}`" in str(CliRunner().invoke(command, [str(tmp_path)]).exception)
