@@ -237,8 +237,16 @@ def test_gains_of_every_kind(shot):
     (shot / "g.csv").write_text("frame,r,g,b\n" + "".join(f"{n},1,2,{1 + n}\n" for n in range(8)))
     assert prepared(shot, gain={"file": "g.csv"})[1]["gains"]["4"] == [1, 2, 5]
     (shot / "g.json").write_text(json.dumps([{"frame": n, "gain": 2} for n in range(7)]))
-    with pytest.raises(InputError, match="1 frames have no gain: 7"):
+    capture, table = prepared(shot, gain="g.json")
+    assert table["broken"] == {"7": "the frame has no gain in g.json"} and table["frames"] == list(range(8))
+    capture.frame(6, table)
+    with pytest.raises(InputError, match="no gain") as caught:
+        capture.frame(7, table)
+    assert caught.value.place.frame == 7
+    (shot / "g.json").write_text(json.dumps({"1001": 2}))
+    with pytest.raises(InputError, match="none of the 8 frames has a gain") as caught:
         prepared(shot, gain="g.json")
+    assert "1001" in caught.value.hint
 
 
 @pytest.mark.parametrize("value", [0, -1, [1, 0, 1], [1, 2], float("nan"), "nan"])
@@ -301,6 +309,18 @@ def test_mattes_keep_soft_edges(shot):
     np.testing.assert_array_equal(capture.frame(6, table).views[""].matte, matte)
 
 
+def test_a_missing_matte_costs_its_frame_only(shot):
+    for n in (0, 1, 2, 4, 5, 6, 7):
+        cv2.imwrite(str(shot / f"m_{n:04d}.png"), matte_of(n))
+    capture, table = prepared(shot, mattes="m_####.png")
+    assert table["broken"] == {"3": "the frame has no matte"} and table["frames"] == list(range(8))
+    assert "cannot be used: 1 frame (3)" in table["notes"]
+    capture.frame(2, table)
+    with pytest.raises(InputError, match="no matte") as caught:
+        capture.frame(3, table)
+    assert caught.value.place.frame == 3
+
+
 def test_mattes_that_do_not_fit(shot):
     def check(message, values, name="m_0000.png"):
         if name.endswith("exr"):
@@ -316,8 +336,8 @@ def test_mattes_that_do_not_fit(shot):
     check("colour picture", codes_of(1))
     check("expected 0 to 1", np.full((H, W, 1), 1.5, np.float32), "m_0000.exr")
     check("NaN", np.full((H, W, 1), np.nan, np.float32), "m_0000.exr")
-    with pytest.raises(InputError, match="7 frames have no matte"):
-        prepared(shot, mattes={"frames": ["m_0000.png"]})
+    with pytest.raises(InputError, match="none of the 7 frames has a matte, from 1 to 7"):
+        prepared(shot, mattes={"frames": ["m_0000.png"]}, subset={"first": 1})
     with pytest.raises(InputError, match="no file matches"):
         opened(shot, mattes="none_####.png")
 
@@ -425,6 +445,42 @@ def test_settings_survive_json():
     )
     assert given.frame_rate.denominator == 1001
     assert MarkerVideoSettings.model_validate(given.model_dump(mode="json")) == given
+
+
+def test_a_marker_seen_twice_costs_its_frame_only(tmp_path):
+    """Frame 1 of three shows the marker twice; its neighbours keep their poses, both roots of them."""
+    from rendered_marker import look_at, marker_page, photograph, render
+
+    size, matrix = (320, 240), np.array([[400.0, 0, 160], [0, 400.0, 120], [0, 0, 1]])
+    page, metres = marker_page("DICT_4X4_50", 3, 0.06)
+    for n in range(3):
+        camera = look_at([0.02 * n, -0.3, 0.4])
+        linear = render(page, metres, matrix, camera, size)
+        if n == 1:
+            beside = np.eye(4)
+            beside[0, 3] = 0.1
+            linear = render(page, metres, matrix, camera, size, world_from_page=beside, onto=linear)
+        codes = photograph(linear)
+        cv2.imwrite(str(tmp_path / f"p_{n:04d}.png"), np.repeat(codes[..., None], 3, axis=2))
+    camera = {"matrix": matrix.tolist(), "width": 320, "height": 240, "pixel_centres": "half"}
+    lift = {"position": [0, 0, "2 m"]}
+    for lost in ("stop", "interpolate"):
+        capture, table = prepared(
+            tmp_path, poses=None, target=TARGET, camera=camera, lost=lost, world_from_marker=lift
+        )
+        assert list(table["broken"]) == ["1"] and "seen 2 times" in table["broken"]["1"]
+        assert sorted(table["poses"]) == ["0", "2"] and table["frames"] == [0, 1, 2]
+        with pytest.raises(InputError, match="seen 2 times"):
+            capture.frame(1, table)
+    for n, row in zip((0, 2), (r for r in table["pose_report"]["frames"] if r["frame"] != 1)):
+        other = np.array(row["other_root"]["world_from_camera"])
+        own = np.array(table["poses"][str(n)])
+        assert row["other_root"]["rms_px"] == pytest.approx(max(row["roots_rms_px"]))
+        assert not np.allclose(other, own, atol=1e-3)
+        # Both cameras look at the marker, where the job has put it.
+        for pose_ in (other, own):
+            seen = np.linalg.inv(pose_) @ [0, 0, 2, 1]
+            np.testing.assert_allclose(400 * seen[:2] / seen[2], [0, 0], atol=2.0)
 
 
 @pytest.mark.data

@@ -237,6 +237,30 @@ def test_marker_seen_twice_names_both_places():
     assert caught.value.place.frame == 5
 
 
+def test_a_marker_seen_twice_is_the_fault_of_its_frame_alone():
+    page, metres = marker_page("DICT_4X4_50", 7, 0.06)
+    beside = np.eye(4)
+    beside[0, 3] = 0.1
+    pictures = []
+    for n in range(4):
+        camera = look_at([0.02 * n, -0.3, 0.4])
+        linear = render(page, metres, K, camera, SIZE)
+        if n == 2:
+            linear = render(page, metres, K, camera, SIZE, world_from_page=beside, onto=linear)
+        pictures.append(photograph(linear))
+    frames = [(10 + n, n / 25, lambda p=p: p) for n, p in enumerate(pictures)]
+    table = solve_poses(frames, CALIBRATION, MARKER, lost="stop")
+    assert [row.number for row in table.frames] == [10, 11, 12, 13]
+    assert [row.fault is None for row in table.frames] == [True, True, False, True]
+    assert "marker 7 is seen 2 times" in table.row(12).fault and sorted(table.poses()) == [10, 11, 13]
+    rows = json.loads(json.dumps(table.as_json()))
+    assert rows[2]["other_root"] is None
+    assert np.array(rows[0]["other_root"]["world_from_camera"]).shape == (4, 4)
+    np.testing.assert_array_equal(
+        rows[0]["other_root"]["world_from_camera"], table.frames[0].other.world_from_camera
+    )
+
+
 def test_picture_of_another_size():
     with pytest.raises(InputError, match="64x48"):
         solve_poses([(0, 0.0, lambda: np.zeros((48, 64), dtype=np.uint8))], CALIBRATION, MARKER)

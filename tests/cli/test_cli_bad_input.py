@@ -82,6 +82,23 @@ def test_one_unreadable_frame_among_good_ones(tmp_path, broken):
     assert len(list((tmp_path / "stopped").glob("*.exr"))) == broken
 
 
+@pytest.mark.parametrize("lacking", ["gain", "matte"])
+def test_a_frame_that_lacks_its_gain_or_matte_costs_itself(tmp_path, lacking):
+    job = write_job(tmp_path, (0, 1, 2))
+    (tmp_path / "gains.json").write_text(json.dumps({"0": 0.5, "2": 0.5}))
+    for number in (0, 2):
+        write_picture(tmp_path / f"matte_{number:04d}.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    change(job, capture={"gain": "gains.json"} if lacking == "gain" else {"mattes": "matte_####.png"})
+    result = render(job, "--set", "on_error=skip", "--output", tmp_path / "skipped")
+    assert result.exit_code == 4, result.stderr
+    assert sorted(p.name for p in (tmp_path / "skipped").glob("*.exr")) == [
+        "small.0000.exr",
+        "small.0002.exr",
+    ]
+    result = render(job, "--set", "on_error=hold-last", "--output", tmp_path / "held")
+    assert result.exit_code == 4 and len(list((tmp_path / "held").glob("*.exr"))) == 3
+
+
 def test_the_broken_frame_is_named(tmp_path):
     job = write_job(tmp_path, (0, 1, 2))
     (tmp_path / "photo_0001.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(50))

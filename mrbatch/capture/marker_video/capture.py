@@ -124,16 +124,16 @@ class MarkerVideoCapture:
 
         Keys: `frames` (numbers with a pose, and broken ones), `times` (s, float, one for each),
         `footage` (how it is read), `camera`, `poses` (world_from_camera by number), `gains`, `flags`,
-        `broken` (message by number), `missing`, `skipped` (numbers), `absent` (why these two are not
-        rendered, by number), `pose_report`, `notes`, `frame_rate`.
+        `broken` (why a frame that is there cannot be used, by number), `missing`, `skipped` (numbers),
+        `absent` (why these two are not rendered, by number), `pose_report` (each frame's `other_root` in the
+        world, too), `notes`, `frame_rate`.
         """
         footage, numbers = self._opened(), self._chosen()
         about = footage.describe()
         calibration = read_calibration(self.settings.camera)
         width, height = about["width"], about["height"]
         calibration.check_size(width, height, Place(file=str(footage.paths(numbers[:1])[0])))
-        if self._mattes is not None:
-            self._mattes.check(numbers)
+        unmatted = self._mattes.lacking(numbers) if self._mattes is not None else []
         notes = list(about["notes"])
         missing = self._missing(footage, numbers)
         if missing:
@@ -147,14 +147,19 @@ class MarkerVideoCapture:
                 poses[row.number] = (place_marker @ row.world_from_camera).tolist()
             if row.flags:
                 flags[row.number] = [f"pose-{flag}" for flag in row.flags]
+            if row.fault:
+                broken[row.number] = row.fault
+        for number in unmatted:
+            broken.setdefault(number, "the frame has no matte")
         skipped = [n for n in numbers if n not in poses and n not in broken]
         frames = [n for n in numbers if n in poses or n in broken]
+        gains = self._gains(footage, frames, about, broken)
         if not poses:
             raise InputError("no frame has a pose", place=Place(frame=numbers[0]))
         if skipped:
             notes.append(f"without a pose, so left out: {_listed(skipped)}")
         if broken:
-            notes.append(f"cannot be read: {_listed(sorted(broken))}")
+            notes.append(f"cannot be used: {_listed(sorted(broken))}")
         if report["source"] == "target":
             seen = sum(row.points > 0 for row in rows)
             notes.append(
@@ -163,7 +168,6 @@ class MarkerVideoCapture:
             )
         absent = {n: "the footage has no such frame" for n in missing}
         absent |= {n: "the frame has no camera pose: the target was not found in it" for n in skipped}
-        gains = self._gains(footage, frames, about)
         self._posed = tuple(frames)
         return {
             "kind": "marker-video",
@@ -258,8 +262,12 @@ class MarkerVideoCapture:
                 ) from None
             raise
         rows_json = found.as_json()
+        place_marker = self.settings.world_from_marker.array()
         for row in rows_json:
             row.pop("world_from_camera", None)
+            other = row.get("other_root")
+            if other is not None:
+                other["world_from_camera"] = (place_marker @ np.array(other["world_from_camera"])).tolist()
         layout = found.layout or {}
         report = {
             "source": "target",
@@ -270,17 +278,23 @@ class MarkerVideoCapture:
         }
         return found.frames, report
 
-    def _gains(self, footage: Footage, frames: Sequence[int], about: Mapping[str, Any]) -> dict[int, Gain]:
+    def _gains(
+        self, footage: Footage, frames: Sequence[int], about: Mapping[str, Any], broken: dict[int, str]
+    ) -> dict[int, Gain]:
+        """By frame number; a frame that a file leaves out goes to `broken`. Raises InputError."""
         gain = self.settings.gain
         if gain.file is not None:
             given = load_gains(gain.file)
             lacking = [n for n in frames if n not in given]
-            if lacking:
+            if len(lacking) == len(frames):
                 raise InputError(
-                    f"{len(lacking)} frames have no gain: {', '.join(map(str, lacking[:10]))}",
+                    f"none of the {len(lacking)} frames has a gain, from {lacking[0]} to {lacking[-1]}",
                     place=Place(file=str(gain.file), frame=lacking[0]),
+                    hint=f"the file has gains of {min(given)} to {max(given)}",
                 )
-            return {n: given[n] for n in frames}
+            for number in lacking:
+                broken.setdefault(number, f"the frame has no gain in {gain.file.name}")
+            return {n: given[n] for n in frames if n in given}
         if gain.patch is not None:
             number = gain.patch.frame
             if number not in footage.numbers:

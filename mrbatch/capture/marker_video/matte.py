@@ -20,16 +20,16 @@ class Mattes:
         self.invert = settings.invert
         self.sequence = find_sequence(settings.frames, settings.start_frame)
 
-    def check(self, numbers: Sequence[int]) -> None:
-        """Raises InputError naming the frames that have no matte."""
+    def lacking(self, numbers: Sequence[int]) -> list[int]:
+        """Which of these frames have no matte. Raises InputError where none has one."""
         missing = sorted(set(numbers) - set(self.sequence.numbers))
-        if missing:
-            more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
+        if len(missing) == len(set(numbers)):
             raise InputError(
-                f"{len(missing)} frames have no matte: {', '.join(map(str, missing[:10]))}{more}",
+                f"none of the {len(missing)} frames has a matte, from {missing[0]} to {missing[-1]}",
                 place=Place(file=str(self.sequence.paths[0].parent), frame=missing[0]),
                 hint="mattes carry the numbers of the frames; `mattes.start_frame` renumbers them",
             )
+        return missing
 
     def path(self, number: int) -> Path:
         return self.sequence.path(number)

@@ -51,7 +51,8 @@ class FramePose:
     (radians), then its place in the world (metres); None where the pose was not measured here.
     `flags`: `lost` (nothing usable was seen), `ambiguous` (two roots not told apart; refused),
     `held`, `interpolated`, `poor-fit` (used, but the print is bent or the calibration off). `points`:
-    how many points were seen. `repaired`: ids whose wrong bits were corrected.
+    how many points were seen. `repaired`: ids whose wrong bits were corrected. `fault`: why the picture
+    cannot be used at all, such as a marker that is seen twice; such a frame is no lost one.
     """
 
     number: int
@@ -64,6 +65,14 @@ class FramePose:
     flags: tuple[str, ...] = ()
     points: int = 0
     repaired: tuple[int, ...] = ()
+    fault: str | None = None
+
+    @property
+    def other(self) -> Root | None:
+        """The root that was not chosen, where there are two."""
+        if self.chosen is None or len(self.roots) < 2:
+            return None
+        return self.roots[1 - self.chosen]
 
     @property
     def ratio(self) -> float:
@@ -108,6 +117,9 @@ class PoseTable:
                 "rms_px": f.rms,
                 "points": f.points,
                 "roots_rms_px": [root.rms for root in f.roots],
+                "other_root": None
+                if f.other is None
+                else {"world_from_camera": f.other.world_from_camera.tolist(), "rms_px": f.other.rms},
                 "sigma_deg": _degrees(f.covariance),
                 "sigma_m": None if f.covariance is None else float(np.sqrt(np.trace(f.covariance[3:, 3:]))),
                 "repaired_ids": list(f.repaired),
@@ -138,20 +150,22 @@ def solve_poses(
     before), `interpolate` (between the neighbours; held at the ends). `progress` is called with each
     frame number done and whether the target is seen in it.
 
-    Raises InputError: the target is never seen (the hint names dictionaries that do see markers), a
-    marker is seen twice in one frame, a picture has another size than the calibration, poses are
-    missing under `stop`.
+    A frame in which a marker is seen twice gets a row with its `fault` and no pose. Raises InputError: the
+    target is never seen (the hint names dictionaries that do see markers), or only in frames with a fault;
+    a picture has another size than the calibration; poses are missing under `stop`.
     """
     detector = TargetDetector(target, calibration, transfer=transfer)
     looked: list[tuple[int, float, Detection]] = []
     first: list[np.ndarray] = []
+    faults: dict[int, InputError] = {}
     for number, time, load in frames:
         grey = load()
         if grey.ndim != 2:
             raise InputError(f"expected a grey picture, got shape {grey.shape}", place=Place(frame=number))
         calibration.check_size(grey.shape[1], grey.shape[0], Place(frame=number))
         detection = detector.detect(grey)
-        _refuse_duplicates(detection, number)
+        if detection.duplicates:
+            faults[number] = _seen_twice(detection, number)
         if len(detection) == 0 and len(first) < _SEEN_FRAMES:
             first.append(grey)
         looked.append((number, time, detection))
@@ -159,23 +173,31 @@ def solve_poses(
             progress(number, len(detection) > 0)
     if not looked:
         raise InputError("there are no frames to find the target in")
-    if not any(len(d) for _, _, d in looked):
+    whole = [row for row in looked if row[0] not in faults]
+    if faults and not any(len(d) for _, _, d in whole):
+        raise next(iter(faults.values()))
+    if not any(len(d) for _, _, d in whole):
         raise _never_seen(target, looked, first)
     layout = None
     if target.tags and target.tags.layout is None:
-        layout = estimate_layout([(n, d) for n, _, d in looked], calibration, target.tags)
-        looked = [(n, t, place(d, layout)) for n, t, d in looked]
-    return _table(looked, calibration, lost, layout)
+        layout = estimate_layout([(n, d) for n, _, d in whole], calibration, target.tags)
+        whole = [(n, t, place(d, layout)) for n, t, d in whole]
+    table = _table(whole, calibration, lost, layout)
+    rows = {row.number: row for row in table.frames}
+    for number, time, detection in looked:
+        if number in faults:
+            rows[number] = FramePose(number, time, None, points=len(detection), fault=faults[number].message)
+    return replace(table, frames=tuple(rows[number] for number, _, _ in looked))
 
 
-def _refuse_duplicates(detection: Detection, number: int) -> None:
-    for marker, centres in detection.duplicates.items():
-        places = " and ".join(f"({x:.0f}, {y:.0f})" for x, y in centres)
-        raise InputError(
-            f"marker {marker} is seen {len(centres)} times, at pixels {places}",
-            place=Place(frame=number),
-            hint="each id may lie on the scene once: cover one of them or print another id",
-        )
+def _seen_twice(detection: Detection, number: int) -> InputError:
+    marker, centres = next(iter(detection.duplicates.items()))
+    places = " and ".join(f"({x:.0f}, {y:.0f})" for x, y in centres)
+    return InputError(
+        f"marker {marker} is seen {len(centres)} times, at pixels {places}",
+        place=Place(frame=number),
+        hint="each id may lie on the scene once: cover one of them or print another id",
+    )
 
 
 def _never_seen(target: TargetSettings, looked, pictures: list[np.ndarray]) -> InputError:
