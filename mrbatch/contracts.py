@@ -235,13 +235,30 @@ class Participant:
 
 
 @dataclass(frozen=True)
+class Told:
+    """What a capture's table tells a person.
+
+    `facts`: name, words, meaning. `frames`: by number, what was measured of it: name to value and unit.
+    """
+
+    facts: tuple[tuple[str, str, str], ...] = ()
+    frames: Mapping[int, Mapping[str, tuple[float, str]]] = field(default_factory=dict)
+
+
+def _nothing(table: Mapping[str, Any]) -> Told:
+    return Told()
+
+
+@dataclass(frozen=True)
 class CaptureKind:
-    """A kind of captured dataset. `open(settings, folder)` gives an object with the calls of `Capture`."""
+    """A kind of captured dataset. `open(settings, folder)` gives an object with the calls of `Capture`;
+    `told(table)` tells what its table holds, without the capture's files."""
 
     name: str
     meaning: str
     settings: type
     open: Callable[[Any, Any], "Capture"]
+    told: Callable[[Mapping[str, Any]], Told] = _nothing
 
 
 class Progress(Protocol):

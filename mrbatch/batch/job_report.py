@@ -15,17 +15,35 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from mrbatch import __version__
 from mrbatch.batch.directory import held_record
 from mrbatch.batch.journal import FailureEntry, FrameEntry, JournalReader, RunEntry
-from mrbatch.batch.previews import SHEET
+from mrbatch.batch.previews import MOVIE, SHEET
 from mrbatch.batch.shot import Shot, load_shot
+from mrbatch.batch.shot_facts import shot_facts, told_by_capture
+from mrbatch.contracts import Told
 from mrbatch.device.runner import usable_cores
 from mrbatch.device.timing import TimingNode, timing_from_dict
 from mrbatch.errors import EXIT_FRAMES, EXIT_INPUT, EXIT_INTERRUPTED, JobError, worst_exit_code
 from mrbatch.methods.registry import method as find_method
 from mrbatch.methods.registry import participant as find_participant
-from mrbatch.report.model import Effect, File, Frame, Note, Picture, Plan, Report, Run, Totals, Value
+from mrbatch.metrics.noise import CONFIDENCE
+from mrbatch.report.gallery import MAX_FRAMES_SHOWN
+from mrbatch.report.model import (
+    Effect,
+    File,
+    Frame,
+    NoiseBlocks,
+    Note,
+    Picture,
+    Plan,
+    Report,
+    Run,
+    Totals,
+    Value,
+)
 from mrbatch.report.model import Job as ReportedJob
 from mrbatch.report.model import TimingNode as ReportedTiming
 
@@ -98,7 +116,8 @@ def report_of(
     held = holdings(directory, record["job_hash"], JournalReader(directory), distrusted=distrusted)
     shot = load_shot(directory, str(record.get("key", "")))
     there = list(held.own.values())
-    frames = tuple(_frames(held))
+    told = told_by_capture(record, shot)
+    frames = tuple(_frames(held, told))
     timing = _timing(str(record.get("job", "")), held)
     busy = sum(entry.seconds for entry in there)
     counters = _added(entry.counters for entry in there)
@@ -118,6 +137,8 @@ def report_of(
         versions=dict(last.versions) if last else {},
         machine=dict(last.machine) if last else {},
         created=_date(max(stamps, default=0.0)),
+        facts=shot_facts(record, shot, there, told),
+        files=tuple(File(path=name) for name in (MOVIE, SHEET) if there and (directory / name).is_file()),
         plan=Plan(effects=_effects(record, shot)),
         frames=frames,
         timing=ReportedTiming.model_validate(timing.as_dict()),
@@ -140,12 +161,12 @@ def report_of(
     )
 
 
-def _frames(held: Holdings) -> list[Frame]:
+def _frames(held: Holdings, told: Told) -> list[Frame]:
     frames = []
     for number in sorted({*held.frames, *held.failures, *held.undone}):
         entry, failure = held.frames.get(number), held.failures.get(number)
         if entry is not None and entry.held_from is None:
-            frames.append(_done(entry))
+            frames.append(_done(entry, told.frames.get(number, {})))
         elif entry is not None or failure is not None:
             frames.append(_failed(number, entry, failure))
         else:
@@ -153,14 +174,28 @@ def _frames(held: Holdings) -> list[Frame]:
     return frames
 
 
-def _done(entry: FrameEntry) -> Frame:
+def _error(details: Mapping[str, Any]) -> Value:
+    low, high = details.get("error_interval") or (None, None)
+    return Value(
+        value=float(details.get("error", 0.0)),
+        unit="relMSE",
+        low=low,
+        high=high,
+        confidence=None if low is None else CONFIDENCE,
+        repetitions=details.get("samples"),
+    )
+
+
+def _done(entry: FrameEntry, measured: Mapping[str, tuple[float, str]]) -> Frame:
     return Frame(
         number=entry.frame,
         state="done",
         outcome="fixed",
         time=entry.details.get("time"),
         seconds=Value(value=entry.seconds, unit="s", repetitions=1),
-        error=Value(value=float(entry.details.get("error", 0.0)), unit="relMSE"),
+        error=_error(entry.details),
+        samples=entry.details.get("samples"),
+        numbers={name: Value(value=value, unit=unit) for name, (value, unit) in measured.items()},
         counters=dict(entry.counters),
         flags=tuple(entry.details.get("flags", ())),
         files=(_file(entry),),
@@ -287,23 +322,27 @@ def _exit(held: Holdings, frames: Sequence[Frame]) -> int:
 
 def _pictures(directory: Path, layers: Collection[str], held: Holdings) -> list[Picture]:
     pictures = []
-    there = [(number, entry.file) for number, entry in held.own.items()]
+    there = list(held.own.values())
     if there and (directory / SHEET).is_file():
         count = len(held.frames)
         caption = "1 frame" if count == 1 else f"{count} frames"
         pictures.append(Picture(role="sheet", path=SHEET, caption=caption))
-    for number, name in _chosen(there):
+    for entry in _chosen(there):
+        number, name = entry.frame, entry.file
         pictures.append(Picture(role="composite", path=name, frame=number))
         if "background" in layers:
             pictures.append(Picture(role="photo", path=name, layer="background", frame=number))
         if "delta" in layers:
             pictures.append(Picture(role="delta", path=name, layer="delta", frame=number))
-        if "variance" in layers:
-            pictures.append(Picture(role="error", path=name, layer="variance", frame=number))
+        for view, about in (entry.details.get("noise") or {}).items():
+            with contextlib.suppress(ValidationError):
+                blocks = NoiseBlocks.model_validate(about)
+                pictures.append(Picture(role="error", path=name, frame=number, view=view, noise=blocks))
+                break  # the page shows a frame's first view
     return pictures
 
 
-def _chosen(there: Sequence[tuple[int, str]], most: int = 4) -> list[tuple[int, str]]:
+def _chosen(there: Sequence[FrameEntry], most: int = MAX_FRAMES_SHOWN) -> list[FrameEntry]:
     """A few frames over the shot, first and last among them."""
     if len(there) <= most:
         return list(there)

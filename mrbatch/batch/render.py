@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
 from mrbatch.film.rendering import FrameRenderer, Source
 from mrbatch.film.window import Window
 from mrbatch.job.resolve import pixel_relevant
+from mrbatch.metrics.noise import Noise, noise_map, noise_of, relative_square
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.scene_data import upload
 
@@ -169,13 +170,17 @@ class ShotRenderer:
         with timing.measure("develop"):
             images: dict[str, ViewImage] = {}
             composites: dict[str, np.ndarray] = {}
-            errors: dict[str, float] = {}
+            noise: dict[str, Noise] = {}
+            maps: dict[str, dict[str, object]] = {}
             for view in self.outputs.views:
-                estimates, error = self._estimates(view, views[view.name], mattes[view.name], rendered)
+                given, matte = views[view.name], mattes[view.name]
+                estimates, relative, changed = self._estimates(view, given, matte, rendered)
                 made = channels(prepared.layers, estimates)
                 images[view.name] = ViewImage(made, views[view.name].camera, self._cryptomatte_attributes())
                 composites[view.name] = np.stack([made["R"], made["G"], made["B"]], axis=-1)
-                errors[view.name] = error
+                window = view.window
+                noise[view.name] = noise_of(relative, changed, (window.x, window.y))
+                maps[view.name] = noise_map(relative, changed).as_dict()
         counters = timing.total_counters()
         job, shot = prepared.job, prepared.shot
         metadata = {
@@ -190,7 +195,11 @@ class ShotRenderer:
             "seed": job.seed,
             "engine": shot.engine,
             "colour_type": shot.colour_reason,
-            "error_estimate": {"relMSE": errors, "of": "noise, where something virtual changes the picture"},
+            "error_estimate": {
+                "relMSE": {name: found.relmse for name, found in noise.items()},
+                "interval": {name: found.interval for name, found in noise.items()},
+                "of": "noise, where something virtual changes the picture; 95 % interval, from 16x16 tiles",
+            },
             "versions": self._versions,
             "flags": list(data.flags),
         }
@@ -208,12 +217,19 @@ class ShotRenderer:
         seconds = time.perf_counter() - start
         timing.seconds, timing.calls = seconds, 1
         self.timing.child("frames").merge(_renamed(timing, "frames"))
+        worst = max(noise.values(), key=lambda found: found.relmse)
         details = {
             "time": data.time,
             "flags": list(data.flags),
             "threads": self.runner.threads,
             "units_per_launch": self.runner.units_per_launch or "by number of units and threads",
-            "error": max(errors.values()) if errors else 0.0,
+            "error": worst.relmse,
+            "error_interval": worst.interval,
+            "samples": self.samples,
+            "display": list(image.display),
+            "window": list(astuple(image.data_window)),
+            "changed_pixels": worst.pixels,
+            "noise": maps,
             "timing": timing.as_dict(),
         }
         return RenderedFrame(image, counters, seconds, rendered.history or None, details, composites)
@@ -224,8 +240,8 @@ class ShotRenderer:
 
     def _estimates(
         self, view: ViewOutput, given: ViewInput, matte: np.ndarray | None, rendered: Any
-    ) -> tuple[dict[str, np.ndarray], float]:
-        """Host arrays by `layers.ESTIMATES`, and the estimated relMSE of what changed."""
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+        """Host arrays by `layers.ESTIMATES`; relative variance (h, w); which pixels changed (h, w) bool."""
         sources = rendered.estimates[view.name]
         developed = sources["method"]
         laid = Contribution(developed.P, developed.a, developed.D, developed.indirect)
@@ -253,11 +269,7 @@ class ShotRenderer:
         estimates.update(data if matte is None else data_behind_matte(data, matte))
         picture = composite(laid.P, laid.a, given.background, laid.D)
         changed = (laid.a > 0) | np.any(laid.D != 0, axis=-1)
-        error = 0.0
-        if changed.any():
-            square = picture[changed] ** 2
-            error = float(np.mean(variance[changed] / (square + 1e-2 * square.mean() + 1e-30)))
-        return estimates, error
+        return estimates, relative_square(picture, variance, changed), changed
 
     def _cryptomatte_attributes(self) -> dict[str, str]:
         from mrbatch.film import cryptomatte

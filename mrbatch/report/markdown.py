@@ -9,6 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from mrbatch.report import numbers
 from mrbatch.report.html import SIMULATED, timing_rows
 from mrbatch.report.model import Report, write_text
+from mrbatch.report.quality import amplitude, quality_of
 from mrbatch.report.scores import score_table
 
 MAX_FRAMES = 200
@@ -29,12 +30,15 @@ def render_markdown(report: Report) -> str:
         "count": numbers.count,
         "seconds": numbers.seconds,
         "quantity": lambda value: escape(numbers.quantity(value)),
+        "noise": lambda error: escape(numbers.quantity(amplitude(error) or error)),
+        "short": numbers.short_hash,
     }
     text = environment.get_template("report.md.j2").render(
         report=report,
         effects=sorted(report.plan.effects, key=lambda e: (e.state not in SIMULATED, e.name)),
         timing=timing_rows(report.timing),
         max_frames=MAX_FRAMES,
+        quality=quality_of(report),
         scores=score_table(report),
     )
     return text.rstrip() + "\n"

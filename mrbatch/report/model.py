@@ -98,6 +98,10 @@ class Frame(_Model):
     time: float | None = None
     seconds: Value | None = None
     error: Value | None = None
+    samples: int | None = None
+    """Samples a pixel."""
+    numbers: dict[str, Value] = Field(default_factory=dict)
+    """What was measured of the frame, by its name for people: `marker rms`."""
     counters: dict[str, int] = Field(default_factory=dict)
     flags: tuple[str, ...] = ()
     files: tuple[File, ...] = ()
@@ -161,10 +165,19 @@ Role = Literal[
 ]
 
 
+class NoiseBlocks(_Model):
+    """A map of the noise that is left, as `mrbatch.metrics.noise.NoiseMap.as_dict()` gives it."""
+
+    block: int
+    columns: int
+    rows: int
+    codes: str
+
+
 class Picture(_Model):
     """A picture to show, by its path relative to the report (or a name given to the drawer).
 
-    `layer`: which layer of an EXR file; empty for its R, G, B.
+    `layer`: which layer of an EXR file; empty for its R, G, B. `noise`: a map that is laid over it.
     """
 
     role: Role
@@ -173,6 +186,7 @@ class Picture(_Model):
     frame: int | None = None
     view: str = ""
     caption: str = ""
+    noise: NoiseBlocks | None = None
 
 
 class Gate(_Model):
@@ -184,6 +198,14 @@ class Gate(_Model):
     measured: Value | None = None
     limit: Value | None = None
     frame: int | None = None
+
+
+class Fact(_Model):
+    """Something that a person wants to know of the shot, in words; `meaning`: what it is."""
+
+    name: str
+    text: str
+    meaning: str = ""
 
 
 class Job(_Model):
@@ -206,6 +228,9 @@ class Report(_Model):
     versions: dict[str, str] = Field(default_factory=dict)
     machine: dict[str, str] = Field(default_factory=dict)
     created: str = ""
+    facts: tuple[Fact, ...] = ()
+    files: tuple[File, ...] = ()
+    """What a person may want to open beside the frames: the movie, the contact sheet."""
     plan: Plan = Plan()
     frames: tuple[Frame, ...] = ()
     timing: TimingNode | None = None

@@ -26,12 +26,22 @@ def number(value: float) -> str:
     return f"{value:.3g}"
 
 
+def roughly(value: float) -> str:
+    """Two significant digits, for what is foreseen and not measured: 2,000, 1.2."""
+    return number(float(f"{value:.2g}")) if math.isfinite(value) else number(value)
+
+
 def count(value: int) -> str:
     """A count with a suffix: 12.3 M; small ones in full."""
     for scale, suffix in _SUFFIXES:
         if abs(value) >= 10 * scale or (abs(value) >= scale and scale > 1e3):
             return f"{value / scale:.3g} {suffix}"
     return f"{value:,}"
+
+
+def short_hash(text: str) -> str:
+    """The first 12 digits of a hash, without the name of its kind."""
+    return text.rpartition(":")[2][:12]
 
 
 def seconds(value: float) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import encode, to_linear
+from mrbatch.metrics.noise import LEVELS
 from mrbatch.report import numbers
 from mrbatch.scene.file_kind import PICTURES, unreadable
 
@@ -168,15 +169,29 @@ def signed_caption(high: float) -> str:
     return f"grey: no change; white +{numbers.number(high)}, black -{numbers.number(high)} or beyond"
 
 
-def draw(picture: LinearPicture, role: str) -> np.ndarray:
-    """A file's values as a person wants to see them, uint8 RGB: by the role that it plays on the page."""
-    values = picture.values
-    if role in ("delta", "difference"):
-        return signed_picture(values, map_scale(values))
-    if role in ("error", "flip"):
-        flat = np.abs(values).mean(axis=2)
-        return magnitude_picture(flat, map_scale(flat))
-    return display_codes(values)
+def noise_picture(codes: np.ndarray, block: int, backdrop: np.ndarray) -> np.ndarray:
+    """A map of noise (see `mrbatch.metrics.noise.NoiseMap`) over a dark grey picture, uint8 RGB.
+
+    `codes` (rows, columns): one a block of `block` x `block` pixels; 0 shows the `backdrop` (height, width,
+    3) uint8. Magma from 0.1 % (dark) to 100 % (pale), logarithmic.
+    """
+    import cv2
+
+    height, width = backdrop.shape[:2]
+    grey = (backdrop.astype(np.float64) @ [0.2126, 0.7152, 0.0722])[..., None].repeat(3, axis=2)
+    there = (codes > 0).astype(np.float64)
+    level = there * (codes.astype(np.float64) - 1.0) / (LEVELS - 1)
+    size = (codes.shape[1] * block, codes.shape[0] * block)
+    # Between blocks that have a level, in between; a block without one takes no part.
+    weight, summed = (
+        np.asarray(cv2.resize(a, size, interpolation=cv2.INTER_LINEAR), dtype=np.float64)[:height, :width]
+        for a in (there, level)
+    )
+    level = np.divide(summed, weight, out=np.zeros_like(summed), where=weight > 0)
+    colour = cv2.applyColorMap(np.floor(level * 255.0 + 0.5).astype(np.uint8), cv2.COLORMAP_MAGMA)[..., ::-1]
+    # A little of the picture shines through, so that one sees where the noise is.
+    mixed = np.where((weight >= 0.5)[..., None], 0.85 * colour + 0.15 * grey, 0.25 * grey + 24.0)
+    return np.floor(mixed.clip(0, 255) + 0.5).astype(np.uint8)
 
 
 def data_uri(codes: np.ndarray, *, width: int = 720, quality: int = 82, max_bytes: int = 400_000) -> str:

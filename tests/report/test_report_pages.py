@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 from mrbatch.report import numbers
-from mrbatch.report.html import MAX_FRAMES_SHOWN, bars, render_html, timing_rows
+from mrbatch.report.gallery import MAX_FRAMES_SHOWN, MAX_PICTURE_BYTES
+from mrbatch.report.html import link, render_html, timing_rows, write_html
 from mrbatch.report.junit import render_junit
 from mrbatch.report.markdown import render_markdown
 from mrbatch.report.model import (
     Effect,
+    Fact,
     File,
     Frame,
     Gate,
@@ -26,11 +28,13 @@ from mrbatch.report.model import (
     Picture,
     Plan,
     Report,
+    Run,
     Score,
     TimingNode,
     Totals,
     Value,
 )
+from mrbatch.report.plots import bar_chart
 from mrbatch.report.scores import score_table
 
 HOSTILE = (
@@ -51,6 +55,8 @@ def hostile_report() -> Report:
         files=(File(path=HOSTILE, hash=HOSTILE),),
         counters={HOSTILE: 1},
         scores=(Score(metric=HOSTILE, scope="frame", value=value),),
+        numbers={HOSTILE: value},
+        error=Value(value=0.01, unit="relMSE"),
     )
     effect = Effect(name=HOSTILE, state="needed", why=HOSTILE, meaning=HOSTILE, frames=HOSTILE)
     return Report(
@@ -58,6 +64,9 @@ def hostile_report() -> Report:
         versions={HOSTILE: HOSTILE},
         machine={HOSTILE: HOSTILE},
         created=HOSTILE,
+        facts=(Fact(name=HOSTILE, text=HOSTILE, meaning=HOSTILE),),
+        files=(File(path=HOSTILE),),
+        runs=(Run(created=HOSTILE, seconds=value, message=HOSTILE),) * 2,
         plan=Plan(effects=(effect.model_copy(update={"numbers": {HOSTILE: 1.0}, "cost": value}),)),
         frames=(frame,),
         timing=TimingNode(name=HOSTILE, seconds=1.0, counters={HOSTILE: 1}, launches=1),
@@ -89,7 +98,7 @@ def parsed(page: str) -> Tags:
 
 def test_page_escapes_hostile_strings():
     picture = np.zeros((40, 60, 3), np.uint8)
-    page = parsed(render_html(hostile_report(), images={HOSTILE: picture}))
+    page = parsed(render_html(hostile_report(), images={HOSTILE: picture}, linked=True))
     assert "script" not in page.tags
     assert [t for t in page.tags if t == "img"] == ["img"]  # the one picture
     assert not [a for a in page.attributes if a[1].startswith("on")]
@@ -98,13 +107,16 @@ def test_page_escapes_hostile_strings():
 
 def test_page_fetches_nothing():
     picture = np.zeros((40, 60, 3), np.uint8)
-    page = render_html(hostile_report(), images={HOSTILE: picture})
+    page = render_html(hostile_report(), images={HOSTILE: picture}, linked=True)
     for tag, name, value in parsed(page).attributes:
-        if name in ("src", "href", "srcset", "action", "data", "poster", "background"):
+        if (tag, name) == ("a", "href"):
+            # A link is followed by a person's click only, and leads to a file beside the page.
+            assert re.fullmatch(r"\./[\w.%/-]*", value), value
+        elif name in ("src", "href", "srcset", "action", "data", "poster", "background"):
             assert value.startswith("data:image/"), (tag, name, value)
     assert not {"link", "script", "iframe", "object", "embed", "base", "form"} & set(parsed(page).tags)
-    style = page[page.index("<style>") : page.index("</style>")]
-    assert "url(" not in style and "@import" not in style
+    for style in re.findall(r"<style>.*?</style>", page, flags=re.DOTALL):
+        assert "url(" not in style and "@import" not in style
     assert "default-src 'none'" in page
 
 
@@ -195,11 +207,82 @@ def test_many_frames_stay_one_small_page():
         pictures=tuple(Picture(role="composite", path=f"{i}", frame=i) for i in range(n)),
     )
     page = render_html(report, images={f"{i}": noise for i in range(n)})
-    assert page.count("<img") == MAX_FRAMES_SHOWN
+    # As many as fit, spread over the shot.
+    shown = [int(number) for number in re.findall(r"<h3>Frame (\d+)</h3>", page)]
+    assert page.count("<img") == len(shown) and 12 <= len(shown) <= MAX_FRAMES_SHOWN
+    assert max(b - a for a, b in zip(shown, shown[1:])) <= 2 * n / len(shown)
+    assert f"{len(shown)} of 1000 frames are shown" in page
     assert "Frame 0<" in page and f"Frame {n - 1}<" in page
-    assert len(page) < 6_000_000
-    chart = bars(report.frames, "seconds")
-    assert 200 <= len(chart) <= 240 and max(b.height for b in chart) == 100.0
+    assert len(page) < MAX_PICTURE_BYTES + 1_000_000
+    chart = bar_chart(report.frames, "seconds")
+    assert 200 <= len(chart.bars) <= 240 and max(b.height for b in chart.bars) == 100.0
+    assert chart.top == "7 s"
+
+
+def test_pictures_of_all_frames_are_shown_where_they_fit():
+    codes = np.full((90, 160, 3), 120, np.uint8)
+    roles = ("composite", "photo", "delta", "error")
+    report = Report(
+        job=Job(name="x"),
+        pictures=tuple(Picture(role=r, path=f"{r}{i}", frame=i) for i in range(16) for r in roles),
+    )
+    page = render_html(report, images={p.path: codes for p in report.pictures})
+    assert page.count("<img") == 64 and len(page) < MAX_PICTURE_BYTES
+    assert page.count('type="radio"') == 16 and "frames are shown" not in page
+
+
+def test_files_are_linked_where_the_page_lies_beside_them(tmp_path):
+    frame = Frame(number=3, state="done", files=(File(path="desk 3.exr"),))
+    report = Report(job=Job(name="x"), frames=(frame,), files=(File(path="preview.mp4"),))
+    (tmp_path / "elsewhere").mkdir()
+    for place, linked in ((tmp_path / "report.html", True), (tmp_path / "elsewhere" / "r.html", False)):
+        write_html(report, place, folder=tmp_path)
+        page = place.read_text(encoding="utf-8")
+        assert ('href="./preview.mp4"' in page) is linked
+        assert ('href="./desk%203.exr"' in page) is linked
+
+
+@pytest.mark.parametrize(
+    ("path", "address"),
+    [
+        ("a/b.exr", "./a/b.exr"),
+        ("javascript:alert(1)", "./javascript%3Aalert%281%29"),
+        ("//evil.example/x", "./evil.example/x"),
+        ("../../etc/passwd", "./etc/passwd"),
+        ("http:\\\\evil.example", "./http%3A/evil.example"),
+    ],
+)
+def test_links_lead_nowhere_but_below_the_page(path, address):
+    assert link(path) == address
+
+
+def test_the_noise_is_said_in_words_with_interval_and_samples():
+    def frame(number, error):
+        value = Value(value=error, unit="relMSE", low=error / 4, high=4 * error, repetitions=48)
+        return Frame(number=number, state="done", seconds=Value(value=2, unit="s"), error=value, samples=48)
+
+    report = Report(job=Job(name="x"), frames=tuple(frame(i, e) for i, e in enumerate((4e-3, 1e-2, 9e-2))))
+    text = " ".join(" ".join(parsed(render_html(report)).text).split())
+    for words in (
+        "10 % noise left: visible grain, good enough to judge light and placement",
+        "over the pixels that virtual objects change",
+        "the 48 samples a pixel",
+        "10 % [5, 20] (n = 48)",
+        "worst, frame 2 30 % [15, 60] (n = 48)",
+        # (10 % / 2 %)^2 = 25 times the samples
+        "about 1,200 samples a pixel and 25 times the time",
+    ):
+        assert words in text, words
+    assert "noise left: 10 % \\[5, 20\\] (n = 48), visible grain" in render_markdown(report)
+
+
+def test_states_of_effects_and_facts_are_explained():
+    effect = Effect(name="caustics", state="absent", why="no material is specular", bound=0.0)
+    fact = Fact(name="camera track", text="16 of 16 frames", meaning="from the marker")
+    page = render_html(Report(job=Job(name="x"), plan=Plan(effects=(effect,)), facts=(fact,)))
+    text = " ".join(" ".join(parsed(page).text).split())
+    assert "absent proved: nothing of it exists in this scene" in text and ">forced-on<" not in page
+    assert "camera track 16 of 16 frames from the marker" in text
 
 
 def test_junit_counts_gates_and_frames():

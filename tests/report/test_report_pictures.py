@@ -7,11 +7,13 @@ import OpenImageIO as oiio
 import pytest
 
 from mrbatch.errors import InputError
+from mrbatch.metrics.noise import LEVELS
 from mrbatch.report.pictures import (
     data_uri,
     display_codes,
     magnitude_picture,
     map_scale,
+    noise_picture,
     read_picture,
     signed_picture,
 )
@@ -90,6 +92,21 @@ def test_maps_are_drawn_from_dark_to_pale_and_signed_around_grey():
     assert list(signed) == [0, 0, 128, 255, 255]
     assert (magnitude_picture(np.array([[np.nan]]), 1.0) == magnitude_picture(np.array([[1.0]]), 1.0)).all()
     assert tuple(display_codes(np.array([[[np.nan, 0, 0]]]))[0, 0]) == (255, 0, 255)
+
+
+def test_a_map_of_noise_lies_over_the_picture():
+    backdrop = np.full((20, 40, 3), 200, np.uint8)
+    codes = np.zeros((3, 5), np.uint8)
+    codes[:, 2:] = LEVELS
+    codes[0, 4] = 1
+    drawn = noise_picture(codes, 8, backdrop)
+    assert drawn.shape == backdrop.shape
+    grey = drawn[18, 2]
+    assert grey[0] == grey[1] == grey[2] < 100  # nothing changed: the picture, dark and without colour
+    assert drawn[18, 24].sum() > 550 and np.ptp(drawn[18, 24].astype(int)) > 30  # 100 %: pale magma
+    assert drawn[1, 39].sum() < drawn[18, 39].sum() / 2  # 0.1 %: dark
+    one = noise_picture(np.full((1, 1), 30, np.uint8), 64, backdrop)
+    assert (one == one[0, 0]).all()
 
 
 def test_scale_is_not_set_by_a_firefly():
