@@ -49,31 +49,42 @@ class Place:
 class MrbatchError(Exception):
     """Base of all user errors.
 
-    Parameters: `message`, one sentence that says what is wrong; `place`, where; `hint`, what to do.
+    Parameters: `message`, one sentence that says what is wrong; `place`, where; `hint`, what to do; `named`,
+    where a job names the file of `place`.
     """
 
     exit_code = EXIT_USAGE
 
-    def __init__(self, message: str, *, place: Place | None = None, hint: str | None = None):
+    def __init__(
+        self,
+        message: str,
+        *,
+        place: Place | None = None,
+        hint: str | None = None,
+        named: Place | None = None,
+    ):
         super().__init__(message)
         self.message = message
         self.place = place
         self.hint = hint
+        self.named = named
 
     def __str__(self) -> str:
         text = f"{self.place}: {self.message}" if self.place else self.message
         if self.place and self.place.source is not None and self.place.column is not None:
             text += f"\n    {self.place.source}\n    {' ' * (self.place.column - 1)}^"
+        if self.named:
+            text += f"\n  named at {self.named}"
         if self.hint:
             text += f"\n  hint: {self.hint}"
         return text
 
     def __reduce__(self):
-        return _rebuild, (type(self), self.message, self.place, self.hint)
+        return _rebuild, (type(self), self.message, self.place, self.hint, self.named)
 
 
-def _rebuild(kind, message, place, hint):
-    return kind(message, place=place, hint=hint)
+def _rebuild(kind, message, place, hint, named):
+    return kind(message, place=place, hint=hint, named=named)
 
 
 class GateError(MrbatchError):

@@ -28,6 +28,7 @@ from mrbatch.film.layers import needs
 from mrbatch.film.window import Window
 from mrbatch.job.confine import check_confined
 from mrbatch.job.model import Job
+from mrbatch.job.naming import tells_where_named
 from mrbatch.job.resolve import pixel_relevant, placeless
 from mrbatch.scene.build import build_scene, scene_files
 from mrbatch.scene.camera import Camera
@@ -126,6 +127,7 @@ def output_views(
     return display, {name: data_window(job.output, size) for name, size in display.items()}
 
 
+@tells_where_named
 def open_capture(job: Job, timing: TimingNode) -> tuple[Capture, tuple[int, ...]]:
     """The capture and the numbers of its frames. Raises InputError."""
     with timing.measure("open"):
@@ -133,6 +135,7 @@ def open_capture(job: Job, timing: TimingNode) -> tuple[Capture, tuple[int, ...]
         return capture, tuple(int(n) for n in capture.frame_numbers())
 
 
+@tells_where_named
 def look_at(
     job: Job,
     capture: Capture,
@@ -151,6 +154,7 @@ def look_at(
     return Opened(capture, numbers, {**own_facts(job), "inputs": inputs})
 
 
+@tells_where_named
 def prepare(
     job: Job,
     timing: TimingNode,

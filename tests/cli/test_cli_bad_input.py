@@ -62,7 +62,8 @@ def test_missing_video(job):
 def test_a_video_that_is_none(job, tmp_path):
     (tmp_path / "holiday.mp4").write_bytes(b"no video at all" * 100)
     change(job, capture={"frames": "holiday.mp4"})
-    assert "holiday.mp4" in told(render(job), 3)
+    text = told(render(job), 3)
+    assert "holiday.mp4: this is not a video but text" in text and f"named at {job}:" in text
 
 
 @pytest.mark.parametrize("broken", [0, 1, 2])
@@ -201,7 +202,7 @@ def test_mesh_without_faces(job, tmp_path, content):
     (tmp_path / "thing.ply").write_text(content)
     change(job, virtual=[{"name": "thing", "mesh": "thing.ply"}])
     text = told(render(job), 3)
-    assert "thing.ply" in text
+    assert "thing.ply" in text and f"named at {job}:" in text
 
 
 def test_missing_mesh_names_its_neighbour(job, tmp_path):
