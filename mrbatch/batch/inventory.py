@@ -65,7 +65,7 @@ class Inventory:
         return self.path(frame).relative_to(self.directory).as_posix()
 
     def judge(self, frame: int) -> tuple[What, FrameEntry | None]:
-        """Which of the kinds of `Findings` a frame is, with its entry if it is finished.
+        """Which of the kinds of `Findings` a frame is, with its entry if it is finished or a stand-in.
 
         `fresh`: there is nothing, or only a file that another job recorded. Raises ResourceError.
         """
@@ -88,7 +88,7 @@ class Inventory:
         own = [entry for entry in agreeing if entry.held_from is None]
         if own:
             return "finished", own[-1]
-        return ("stand_ins" if agreeing else "corrupt"), None
+        return ("stand_ins", agreeing[-1]) if agreeing else ("corrupt", None)
 
     def foreign(self, asked: Collection[int]) -> tuple[int, ...]:
         """Frames of another job that lie in the folder and are not among those asked for."""

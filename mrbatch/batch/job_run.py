@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import threading
 import time
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,8 @@ from mrbatch.report.html import write_html
 from mrbatch.report.model import Report, save_report
 
 REPORT, PAGE = "report.json", "report.html"
+MOST_AGAIN = 4
+"""How often report and previews are made at most, while other processes add to the folder."""
 
 
 @dataclass(frozen=True)
@@ -165,25 +168,18 @@ def _finish(
     exit_code = result.exit_code
     try:
         if report and not result.interrupted:
-            held = holdings(directory, prepared.job_hash, JournalReader(directory), distrusted=distrusted)
             with timing.measure("previews"):
-                notes = make_previews(
-                    directory,
-                    job.name,
-                    [(number, directory / entry.file) for number, entry in held.frames.items()],
-                    job.output.preview,
-                    transfer=prepared.facts.transfer,
-                    rate=prepared.facts.frame_rate,
-                )
+                notes = _previews(job, prepared, distrusted)
             for text in notes:
                 events(tell.Note(text))
         seconds = time.perf_counter() - began
         if result.owner is not None and (result.rendered or result.undone):
             timing.seconds, timing.calls = seconds, 1
             _record(directory, _entry(prepared, result, timing, notes), result.owner)
-        made = report_of(directory, prepared.job_hash, distrusted=distrusted)
-        if report and made is not None:
-            _write_report(made, directory)
+        for _ in range(MOST_AGAIN):
+            made = report_of(directory, prepared.job_hash, distrusted=distrusted)
+            if not report or made is None or not _write_report(made, directory):
+                break
     except MrbatchError as error:
         exit_code = worst_exit_code([exit_code, error.exit_code])
         events(tell.Note(f"the report could not be written: {error}"))
@@ -223,16 +219,41 @@ def _record(directory: Path, entry: RunEntry, owner: Owner) -> None:
         writer.close()
 
 
-def _write_report(made: Report, directory: Path) -> None:
-    """Writes it where it differs from the one that is there."""
+def _previews(job: Job, prepared: Prepared, distrusted: Collection[int]) -> list[str]:
+    """Of all frames that are there; gives what went wrong. Made again where another process has finished a
+    frame meanwhile, so that whoever ends last leaves them whole."""
+    directory = job.output.directory
+    notes: list[str] = []
+    seen: dict[int, str] | None = None
+    for _ in range(MOST_AGAIN):
+        held = holdings(directory, prepared.job_hash, JournalReader(directory), distrusted=distrusted)
+        there = {number: entry.file_hash for number, entry in held.frames.items()}
+        if there == seen:
+            break
+        notes = make_previews(
+            directory,
+            job.name,
+            [(number, directory / entry.file) for number, entry in held.frames.items()],
+            job.output.preview,
+            transfer=prepared.facts.transfer,
+            rate=prepared.facts.frame_rate,
+            again=seen is not None,
+        )
+        seen = there
+    return notes
+
+
+def _write_report(made: Report, directory: Path) -> bool:
+    """Writes it where it differs from the one that is there; says whether."""
     path, page = directory / REPORT, directory / PAGE
     try:
         if path.read_text(encoding="utf-8") == made.to_json() and page.is_file():
-            return
+            return False
     except (OSError, UnicodeDecodeError):
         pass
     save_report(made, path)
     write_html(made, page, folder=directory)
+    return True
 
 
 class _Renderer:

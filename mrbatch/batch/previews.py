@@ -31,12 +31,15 @@ def make_previews(
     *,
     transfer: str,
     rate: Fraction | None,
+    again: bool = False,
 ) -> list[str]:
-    """Writes what `wanted` asks for, unless it is there and younger than every frame.
+    """Writes what `wanted` asks for, unless it is there and younger than every frame; `again`: even then.
 
     Gives what went wrong, in words: a preview that cannot be made is never the end of a job.
     """
-    if not frames or not _due(directory, frames, wanted):
+    if not wanted.contact_sheet and not wanted.video and not wanted.png:
+        return []
+    if not frames or not (again or _due(directory, frames, wanted)):
         return []
     sheet = ContactSheet(title)
     try:

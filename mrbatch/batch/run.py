@@ -15,11 +15,12 @@ from pathlib import Path
 
 from mrbatch.batch import events as tell
 from mrbatch.batch.claim import Claims
-from mrbatch.batch.commit import Staged, as_resource_error, leftovers, resource_reason, stage_file
-from mrbatch.batch.directory import held_hash, sweep
+from mrbatch.batch.commit import as_resource_error, leftovers, resource_reason
+from mrbatch.batch.committer import Committer
 from mrbatch.batch.directory import hold as take_hold
+from mrbatch.batch.directory import sweep
 from mrbatch.batch.history import FOLDER as HISTORY_FOLDER
-from mrbatch.batch.history import Chain, State, own_state, stage_state
+from mrbatch.batch.history import Chain, State
 from mrbatch.batch.interrupt import interrupts
 from mrbatch.batch.inventory import Findings, Inventory
 from mrbatch.batch.journal import FailureEntry, FrameEntry, JournalReader, JournalWriter
@@ -27,7 +28,6 @@ from mrbatch.batch.presence import FOLDER as CLAIMS_FOLDER
 from mrbatch.batch.presence import STALE_AFTER, Owner, Presence
 from mrbatch.batch.request import (
     FailedFrame,
-    FrameResult,
     Hold,
     Render,
     RunRequest,
@@ -128,6 +128,7 @@ class _Run:
         self.findings = Findings()
         self._events = events
         self.inventory = Inventory(request.directory, request.job_hash, request.path, self.journal)
+        self.committer = Committer(request, verify, presence.owner.name, self.inventory, self.writer)
         self.chain = Chain(
             request.directory,
             request.job_hash,
@@ -296,48 +297,18 @@ class _Run:
         try:
             state = self.chain.state_before(frame)
             result = self.render(frame, state)
-            self._commit(frame, result)
+            state_after = self.committer.commit(frame, result, self._note_rendered)
         except InputError as error:
             self._fail(frame, error, state)
             return
+        self.chain.remember(frame, state_after)
         self.forecast.add(time.monotonic() - began)
         path = str(self.request.path(frame))
         self._tell(tell.FrameDone(frame, path, float(result.seconds), dict(result.counters)))
 
-    def _commit(self, frame: int, result: FrameResult) -> None:
-        request = self.request
-        path = request.path(frame)
-        began = time.perf_counter()
-        with contextlib.ExitStack() as undo:
-            picture = _undone_by(undo, stage_file(path, result.write, self.verify, self.owner.name))
-            written = time.perf_counter() - began
-            state = None
-            history: Staged | None = None
-            if request.history:
-                state = own_state(result.history, frame)
-                staged = stage_state(request.directory, frame, state, self.owner.name)
-                history = _undone_by(undo, staged)
-            self._check_hold()
-            with interrupts.shielded():
-                history_hash = history.publish().file_hash if history else ""
-                done = picture.publish()
-                entry = FrameEntry(
-                    job_hash=request.job_hash,
-                    frame=frame,
-                    file=self.inventory.relative(frame),
-                    file_hash=done.file_hash,
-                    content_hash=done.content_hash,
-                    size=done.size,
-                    seconds=float(result.seconds),
-                    counters={name: int(count) for name, count in result.counters.items()},
-                    details=dict(result.details),
-                    write_seconds=written,
-                    history_hash=history_hash,
-                )
-                self.writer.append(entry)
-                self.entries[frame] = entry
-                self.rendered.append(frame)
-        self.chain.remember(frame, state)
+    def _note_rendered(self, entry: FrameEntry) -> None:
+        self.entries[entry.frame] = entry
+        self.rendered.append(entry.frame)
 
     def _fail(self, frame: int, error: InputError, state: State | None) -> None:
         # A broken frame hands on the state that it got.
@@ -364,7 +335,7 @@ class _Run:
             self._tell(tell.Note(f"the run stops here: {were} not tried (see `on_error`)", frame))
 
     def _hold_last(self) -> None:
-        """Give each failed frame a copy of the nearest earlier finished one, at the end of the run."""
+        """Give each failed frame the picture of the nearest earlier finished one, at the end of the run."""
         for frame in sorted(self.failed):
             self._check_stop()
             self.journal.refresh()
@@ -377,34 +348,13 @@ class _Run:
                 self._tell(tell.Note("no earlier frame to hold: the frame is missing", frame))
 
     def _hold_from(self, frame: int, source: FrameEntry) -> None:
-        """Have the picture of `source` stand in for `frame`, and record that."""
-        request = self.request
+        """Have the picture of `source` stand in for `frame`."""
         failed = self.failed[frame]
 
-        def write(path: Path) -> None:
-            self.hold(request.directory / source.file, path, frame, source.frame)
+        def done(entry: FrameEntry) -> None:
+            self.entries[frame] = entry
 
-        with contextlib.ExitStack() as undo:
-            picture = _undone_by(undo, stage_file(request.path(frame), write, self.verify, self.owner.name))
-            self._check_hold()
-            with interrupts.shielded():
-                done = picture.publish()
-                entry = replace(
-                    source,
-                    frame=frame,
-                    file=self.inventory.relative(frame),
-                    file_hash=done.file_hash,
-                    content_hash=done.content_hash,
-                    size=done.size,
-                    seconds=0.0,
-                    write_seconds=0.0,
-                    counters={},
-                    history_hash="",
-                    held_from=source.frame,
-                    error=str(failed.error),
-                )
-                self.writer.append(entry)
-        self.entries[frame] = entry
+        self.committer.stand_in(frame, source, str(failed.error), self.hold, done)
         self.failed[frame] = replace(failed, held_from=source.frame)
         self._tell(tell.FrameFailed(frame, str(failed.error), source.frame))
 
@@ -428,13 +378,6 @@ class _Run:
         if self.stop.is_set():
             raise Stopped
 
-    def _check_hold(self) -> None:
-        if held_hash(self.request.directory) != self.request.job_hash:
-            raise JobError(
-                f"`{self.request.directory}` was taken by another job while this one was running",
-                hint="choose another folder with --output",
-            )
-
     def _predict(self) -> None:
         if self.pending:
             prediction = self.forecast.predict(len(self.pending))
@@ -451,9 +394,3 @@ class _Run:
 
 def _copy(source: Path, target: Path, frame: int, held_from: int) -> None:
     shutil.copyfile(source, target)
-
-
-def _undone_by(undo: contextlib.ExitStack, staged: Staged) -> Staged:
-    """Whatever happens, the temporary file goes (after `publish` there is none)."""
-    undo.callback(staged.discard)
-    return staged

@@ -190,6 +190,36 @@ def test_a_missing_number_is_held(tmp_path):
     assert frames_of_movie(tmp_path / "out" / "preview.mp4") == 4
 
 
+def test_stand_ins_stay_while_nothing_changes(tmp_path):
+    path = write_job(tmp_path, (0, 1, 3), on_error="hold-last")
+    first = render(path)
+    before = contents(tmp_path / "out"), (tmp_path / "out" / "small.0002.exr").stat().st_mtime_ns
+    again = render(path)
+    assert again.exit_code == 4 and again.result.failed[0].held_from == 1
+    assert (contents(tmp_path / "out"), (tmp_path / "out" / "small.0002.exr").stat().st_mtime_ns) == before
+    assert again.report == first.report
+
+
+def test_whoever_ends_last_leaves_previews_of_all_frames(tmp_path, monkeypatch):
+    """Another process finishes a frame while the previews are made."""
+    path = write_job(tmp_path, (0, 1, 2))
+    make = job_run.make_previews
+    calls = []
+
+    def meanwhile(*given: Any, **options: Any):
+        made = make(*given, **options)
+        calls.append(len(given[2]))
+        if len(calls) == 1:
+            render(path, "frames=2", report=False)
+        return made
+
+    monkeypatch.setattr(job_run, "make_previews", meanwhile)
+    report = render(path, "frames=0-1").report
+    assert calls == [2, 3]
+    assert frames_of_movie(tmp_path / "out" / "preview.mp4") == 3
+    assert states(report) == ["done"] * 3
+
+
 def test_a_run_that_ended_early_says_why(tmp_path, monkeypatch):
     path = write_job(tmp_path, (0, 1))
     shot_render = job_run.ShotRenderer.render
