@@ -167,7 +167,7 @@ def duration_text(seconds: float) -> str:
 def _bar(stream: IO[str]) -> Iterator[tell.EventSink]:
     from rich.console import Console
     from rich.markup import escape
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
     console = Console(file=stream)
     bar = Progress(
@@ -183,18 +183,25 @@ def _bar(stream: IO[str]) -> Iterator[tell.EventSink]:
         redirect_stderr=False,
     )
     task = bar.add_task("starting", total=None, left="")
+    step: TaskID | None = None
     done = 0.0
 
     def say(text: str) -> None:
         console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def sink(event: tell.Event) -> None:
-        nonlocal done
+        nonlocal done, step
         match event:
             case tell.Preparing():
-                bar.update(task, total=event.total, completed=event.done, description=escape(_step(event)))
+                # A line of its own: a task that was full once has no clock any more.
+                step = step if step is not None else bar.add_task("", left="")
+                text = escape(_step(event))
+                bar.update(step, total=event.total, completed=event.done, description=text)
             case tell.Started():
-                bar.update(task, total=event.frames, completed=0, description=escape(event.job))
+                if step is not None:
+                    bar.remove_task(step)
+                    step = None
+                bar.update(task, total=event.frames, description=escape(event.job))
                 if event.found:
                     say(event.found)
             case tell.FrameStarted():

@@ -77,13 +77,36 @@ def test_a_terminal_gets_a_bar_with_the_remaining_time(monkeypatch):
         for event in STORY:
             sink(event)
             if isinstance(event, tell.Prediction):
-                # The bar is drawn ten times a second.
-                time.sleep(0.3)
+                # The bar is drawn four times a second.
+                time.sleep(0.4)
     text = stream.getvalue()
     assert "about 0:00:25 left (from 1 frame)" in text
     assert "found 1 finished, 1 corrupt" in text
     assert "frame 3 failed: marker never seen" in text
     assert "desk [red]" in text
+
+
+def test_a_terminal_sees_how_far_preparing_is(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "140")
+    stream = Terminal()
+    with progress("auto", stream) as sink:
+        sink(tell.Preparing("looking for the target", 3, 16, "seen in [2]"))
+        time.sleep(0.4)  # the bar is drawn four times a second
+        sink(STORY[0])
+    text = stream.getvalue()
+    assert "looking for the target, seen in [2]" in text and "3/16" in text
+    last = text.rpartition("\x1b[2K")[2]
+    assert "desk [red]" in last
+
+
+def test_a_log_hears_of_long_preparations_now_and_then():
+    stream, now = io.StringIO(), [0.0]
+    sink = PlainLines(stream, clock=lambda: now[0])
+    for second in range(25):
+        now[0] = float(second)
+        sink(tell.Preparing("reading inputs", second, 25))
+    assert stream.getvalue().splitlines() == ["reading inputs: 10 of 25", "reading inputs: 20 of 25"]
 
 
 def test_a_file_gets_plain_lines(tmp_path):
