@@ -24,10 +24,10 @@ def _virtual(facts: ShotFacts) -> Verdict:
 
 
 def _glossy(facts: ShotFacts) -> Verdict:
-    metals = [o for o in facts.scene.objects if o.material.kind == "conductor"]
-    if not metals:
+    glossy = [o for o in facts.scene.objects if o.material.kind != "diffuse"]
+    if not glossy:
         return absent("every surface is diffuse")
-    return needed("surfaces of metal", objects=len(metals))
+    return needed("glossy surfaces", objects=len(glossy))
 
 
 def _textures(facts: ShotFacts) -> Verdict:

@@ -1,4 +1,4 @@
-"""Scattering of opaque surfaces: diffuse (Lambert) and conductor (single-scattering GGX).
+"""Scattering of opaque surfaces: diffuse (Lambert), conductor (single-scattering GGX), principled.
 
 Local frame: z is the shading normal; `wo` (to the viewer) and `wi` (to the light) are unit and point
 away from the surface. A caller who wants two sides flips the frame to the viewer first. Below the
@@ -17,6 +17,20 @@ nothing divides by a cosine:
               = F D wi_z / ((wo_z + S(wo)) (wi_z + S(wi)))          separable
     pdf = D / (2 (wo_z + S(wo)))                            visible normals (Heitz 2018, eq. 17)
     f cos / pdf = F G2 / G1(wo), from the same terms without D
+
+Principled: a mixture by `metalness` of metal and of a diffuse base under a dielectric interface, as in
+OpenPBR and glTF, but so that white returns exactly what it gets (`ggx_albedo` gives E):
+
+    metal:       F82-tint Fresnel times D G2 (above), and light of further microfacets
+                 (1 - E1(wo)) (1 - E1(wi)) / (pi (1 - <E1>)) F_ms,  F_ms = <F>^2 <E1> / (1 - <F> (1 - <E1>))
+                 (Kulla and Conty 2017; E1 with F = 1, <> cosine-weighted means)
+    dielectric:  Schlick Fresnel times D G2 over
+                 base / pi (1 - E(wo)) (1 - E(wi)) / (1 - <E>)
+                 (Kelemen and Szirmay-Kalos 2001: reciprocal, where glTF's own base (1 - F) is brighter than
+                 white at grazing angles)
+
+F82-tint (Kutz, Hasan, Edmondson 2021): Schlick's curve through `reflectance` at 0 and, at 82 degrees
+(cos 1/7), its own value there times `edge`.
 """
 
 from __future__ import annotations
@@ -28,13 +42,15 @@ from typing import Any, Literal
 
 import warp as wp
 
+from mrbatch.kernels.ggx_albedo import ggx_albedo, ggx_albedo_mean
 from mrbatch.kernels.sampling import cosine_hemisphere, ggx_visible_normal
 
 Masking = Literal["height-correlated", "separable"]
 
 DIFFUSE = wp.constant(0)
 CONDUCTOR = wp.constant(1)
-KINDS = {"diffuse": 0, "conductor": 1}
+PRINCIPLED = wp.constant(2)
+KINDS = {"diffuse": 0, "conductor": 1, "principled": 2}
 """Number of each kind of surface, as `Surface.kind` holds it."""
 
 ALPHA_MIN = wp.constant(wp.float32(1.0e-4))
@@ -50,11 +66,29 @@ _INV_PI = wp.constant(wp.float32(1.0 / math.pi))
 
 @wp.struct
 class Surface:
-    """What scatters at a point: kind, reflectance (linear Rec.709, 0..1), GGX roughness alpha (conductor)."""
+    """What scatters at a point: kind, reflectance (linear Rec.709, 0..1), GGX roughness alpha (conductor).
+
+    Principled: `reflectance` is the base colour; `metalness` 0..1; `f0` reflectance of the dielectric
+    interface at normal incidence; `edge` tint of metal at 82 degrees, 0..1.
+    """
 
     kind: wp.int32
     reflectance: wp.vec3
     alpha: wp.float32
+    metalness: wp.float32
+    f0: wp.float32
+    edge: wp.vec3
+
+
+@wp.struct
+class _Layers:
+    # A principled surface as seen along wo: albedo terms of its interface, and how it is sampled.
+    single: wp.float32  # 1 - E1(wo), what a lobe with F = 1 leaves for further microfacets
+    single_mean: wp.float32  # 1 - <E1>
+    under: wp.float32  # 1 - E(wo) of the dielectric interface
+    under_mean: wp.float32
+    multiple: wp.vec3  # F_ms
+    mirror: wp.float32  # probability of sampling the GGX lobe
 
 
 @wp.struct
@@ -73,7 +107,6 @@ class Bsdf:
     `evaluate(s: Surface, wo: vec3, wi: vec3) -> vec3`: f cos(wi), 1/sr.
     `pdf(s, wo, wi) -> float`: density with which `sample` draws `wi`, 1/sr.
     `sample(s, wo, u: vec2) -> BsdfSample`.
-    `albedo_bound(s) -> float`: no less than the share of light that the surface returns, any channel.
     """
 
     kinds: frozenset[str]
@@ -81,7 +114,6 @@ class Bsdf:
     evaluate: Any
     pdf: Any
     sample: Any
-    albedo_bound: Any
 
 
 @wp.func
@@ -97,6 +129,46 @@ def ggx_slope_term(alpha: float, cosine: float) -> float:
     """S(w) = sqrt(a^2 + (1 - a^2) w_z^2) of the masking function."""
     a = wp.max(alpha, ALPHA_MIN)
     return wp.sqrt(a * a + (1.0 - a * a) * cosine * cosine)
+
+
+@wp.func
+def _largest(a: wp.vec3) -> float:
+    return wp.max(a[0], wp.max(a[1], a[2]))
+
+
+@wp.func
+def _again(u: float) -> float:
+    # A random number that was cut and stretched may round up to 1.
+    return wp.min(u, wp.static(1.0 - 2.0**-24))
+
+
+@wp.func
+def _fifth(c: float) -> float:
+    # (1 - c)^5
+    x = wp.clamp(1.0 - c, 0.0, 1.0)
+    return x * x * x * x * x
+
+
+@wp.func
+def f82_tint(base: wp.vec3, edge: wp.vec3, cosine: float) -> wp.vec3:
+    """Fresnel reflectance of metal: Schlick through `base`, its value at cos 1/7 multiplied by `edge`."""
+    white = wp.vec3(1.0, 1.0, 1.0)
+    at_edge = base + (white - base) * wp.static((6.0 / 7.0) ** 5)
+    dip = wp.cw_mul(at_edge, white - edge) * wp.static(1.0 / (1.0 / 7.0 * (6.0 / 7.0) ** 6))
+    c = wp.clamp(cosine, 0.0, 1.0)
+    f = base + (white - base) * _fifth(c) - dip * (c * _fifth(c) * (1.0 - c))
+    return wp.vec3(wp.clamp(f[0], 0.0, 1.0), wp.clamp(f[1], 0.0, 1.0), wp.clamp(f[2], 0.0, 1.0))
+
+
+@wp.func
+def f82_mean(base: wp.vec3, edge: wp.vec3) -> wp.vec3:
+    """Cosine-weighted mean of `f82_tint` over the hemisphere: 2 integral of F mu d mu."""
+    white = wp.vec3(1.0, 1.0, 1.0)
+    at_edge = base + (white - base) * wp.static((6.0 / 7.0) ** 5)
+    dip = wp.cw_mul(at_edge, white - edge) * wp.static(1.0 / (1.0 / 7.0 * (6.0 / 7.0) ** 6))
+    # 2 int mu (1 - mu)^5 = 1 / 21; 2 int mu^2 (1 - mu)^6 = 1 / 126.
+    f = base + (white - base) * wp.static(1.0 / 21.0) - dip * wp.static(1.0 / 126.0)
+    return wp.vec3(wp.clamp(f[0], 0.0, 1.0), wp.clamp(f[1], 0.0, 1.0), wp.clamp(f[2], 0.0, 1.0))
 
 
 def make_bsdf(kinds: frozenset[str] = frozenset(KINDS), *, masking: Masking = "height-correlated") -> Bsdf:
@@ -120,7 +192,8 @@ def make_bsdf(kinds: frozenset[str] = frozenset(KINDS), *, masking: Masking = "h
 def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
     has_diffuse = "diffuse" in kinds
     has_conductor = "conductor" in kinds
-    both = has_diffuse and has_conductor
+    has_principled = "principled" in kinds
+    several = len(kinds) > 1
     correlated = masking == "height-correlated"
     tag = "_".join(sorted(kinds)) + ("" if correlated else "_separable")
 
@@ -168,54 +241,141 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
             sample.pdf = _INV_PI * wi[2]
         return sample
 
+    @wp.func(name=f"principled_layers_{tag}")
+    def layers(s: Surface, wo: wp.vec3) -> _Layers:
+        found = _Layers()
+        white = wp.vec3(1.0, 1.0, 1.0)
+        here = ggx_albedo(wo[2], s.alpha)
+        mean = ggx_albedo_mean(s.alpha)
+        found.single = 1.0 - here[0] - here[1]
+        found.single_mean = 1.0 - mean[0] - mean[1]
+        dielectric = s.f0 * here[0] + here[1]
+        found.under = 1.0 - dielectric
+        found.under_mean = 1.0 - s.f0 * mean[0] - mean[1]
+        f = f82_mean(s.reflectance, s.edge)
+        back = white - f * found.single_mean
+        for c in range(3):
+            found.multiple[c] = f[c] * f[c] * (1.0 - found.single_mean) / back[c]
+        # Shares of what each way of leaving returns, by the brightest channel.
+        metal = f82_tint(s.reflectance, s.edge, wo[2])
+        mirrored = s.metalness * _largest(metal) * (1.0 - found.single) + (1.0 - s.metalness) * dielectric
+        spread = s.metalness * _largest(found.multiple) * found.single
+        spread += (1.0 - s.metalness) * _largest(s.reflectance) * found.under
+        found.mirror = 1.0
+        if spread > 0.0:
+            # Neither way is ever rarer than it must be for its weight to stay small.
+            found.mirror = wp.clamp(mirrored / (mirrored + spread), 0.1, 0.9)
+        return found
+
+    @wp.func(name=f"principled_evaluate_{tag}")
+    def principled_evaluate(s: Surface, wo: wp.vec3, wi: wp.vec3) -> wp.vec3:
+        found = layers(s, wo)
+        h = wp.normalize(wo + wi)
+        cosine = wp.dot(wo, h)
+        so = ggx_slope_term(s.alpha, wo[2])
+        si = ggx_slope_term(s.alpha, wi[2])
+        lobe = ggx_distribution(s.alpha, wo + wi) * 0.5 * wi[2] / (wo[2] * si + wi[2] * so)
+        there = ggx_albedo(wi[2], s.alpha)
+        flat = _INV_PI * wi[2]
+        metal = f82_tint(s.reflectance, s.edge, cosine) * lobe
+        if found.single_mean > 0.0:
+            left = found.single * (1.0 - there[0] - there[1]) / found.single_mean
+            metal += found.multiple * (left * flat)
+        under = found.under * (1.0 - s.f0 * there[0] - there[1]) / found.under_mean
+        fresnel = s.f0 + (1.0 - s.f0) * _fifth(cosine)
+        plastic = wp.vec3(lobe, lobe, lobe) * fresnel + s.reflectance * (under * flat)
+        return metal * s.metalness + plastic * (1.0 - s.metalness)
+
+    @wp.func(name=f"principled_pdf_{tag}")
+    def principled_pdf(s: Surface, wo: wp.vec3, wi: wp.vec3) -> float:
+        mirror = layers(s, wo).mirror
+        return mirror * conductor_pdf(s, wo, wi) + (1.0 - mirror) * _INV_PI * wi[2]
+
+    @wp.func(name=f"principled_sample_{tag}")
+    def principled_sample(s: Surface, wo: wp.vec3, u: wp.vec2) -> BsdfSample:
+        sample = BsdfSample()
+        mirror = layers(s, wo).mirror
+        # The second number chooses the way, and what is left of it is used again.
+        if u[1] < mirror:
+            m = ggx_visible_normal(wo, wp.max(s.alpha, ALPHA_MIN), wp.vec2(u[0], _again(u[1] / mirror)))
+            sample.wi = wp.normalize(2.0 * wp.dot(wo, m) * m - wo)
+        else:
+            sample.wi = cosine_hemisphere(wp.vec2(u[0], _again((u[1] - mirror) / (1.0 - mirror))))
+        if sample.wi[2] > 0.0:
+            sample.pdf = principled_pdf(s, wo, sample.wi)
+            sample.weight = principled_evaluate(s, wo, sample.wi) / sample.pdf
+        return sample
+
     @wp.func(name=f"bsdf_evaluate_{tag}")
     def evaluate(s: Surface, wo: wp.vec3, wi: wp.vec3) -> wp.vec3:
         value = wp.vec3(0.0, 0.0, 0.0)
         if wo[2] > 0.0 and wi[2] > 0.0:
-            if wp.static(both):
-                if s.kind == CONDUCTOR:
+            if wp.static(has_conductor):
+                if wp.static(several):
+                    if s.kind == CONDUCTOR:
+                        value = conductor_evaluate(s, wo, wi)
+                else:
                     value = conductor_evaluate(s, wo, wi)
+            if wp.static(has_principled):
+                if wp.static(several):
+                    if s.kind == PRINCIPLED:
+                        value = principled_evaluate(s, wo, wi)
+                else:
+                    value = principled_evaluate(s, wo, wi)
+            if wp.static(has_diffuse):
+                if wp.static(several):
+                    if s.kind == DIFFUSE:
+                        value = s.reflectance * (_INV_PI * wi[2])
                 else:
                     value = s.reflectance * (_INV_PI * wi[2])
-            elif wp.static(has_conductor):
-                value = conductor_evaluate(s, wo, wi)
-            else:
-                value = s.reflectance * (_INV_PI * wi[2])
         return value
 
     @wp.func(name=f"bsdf_pdf_{tag}")
     def pdf(s: Surface, wo: wp.vec3, wi: wp.vec3) -> float:
         value = float(0.0)
         if wo[2] > 0.0 and wi[2] > 0.0:
-            if wp.static(both):
-                if s.kind == CONDUCTOR:
+            if wp.static(has_conductor):
+                if wp.static(several):
+                    if s.kind == CONDUCTOR:
+                        value = conductor_pdf(s, wo, wi)
+                else:
                     value = conductor_pdf(s, wo, wi)
+            if wp.static(has_principled):
+                if wp.static(several):
+                    if s.kind == PRINCIPLED:
+                        value = principled_pdf(s, wo, wi)
+                else:
+                    value = principled_pdf(s, wo, wi)
+            if wp.static(has_diffuse):
+                if wp.static(several):
+                    if s.kind == DIFFUSE:
+                        value = _INV_PI * wi[2]
                 else:
                     value = _INV_PI * wi[2]
-            elif wp.static(has_conductor):
-                value = conductor_pdf(s, wo, wi)
-            else:
-                value = _INV_PI * wi[2]
         return value
 
     @wp.func(name=f"bsdf_sample_{tag}")
     def sample(s: Surface, wo: wp.vec3, u: wp.vec2) -> BsdfSample:
         drawn = BsdfSample()
         if wo[2] > 0.0:
-            if wp.static(both):
-                if s.kind == CONDUCTOR:
+            if wp.static(has_conductor):
+                if wp.static(several):
+                    if s.kind == CONDUCTOR:
+                        drawn = conductor_sample(s, wo, u)
+                else:
                     drawn = conductor_sample(s, wo, u)
+            if wp.static(has_principled):
+                if wp.static(several):
+                    if s.kind == PRINCIPLED:
+                        drawn = principled_sample(s, wo, u)
+                else:
+                    drawn = principled_sample(s, wo, u)
+            if wp.static(has_diffuse):
+                if wp.static(several):
+                    if s.kind == DIFFUSE:
+                        drawn = diffuse_sample(s, u)
                 else:
                     drawn = diffuse_sample(s, u)
-            elif wp.static(has_conductor):
-                drawn = conductor_sample(s, wo, u)
-            else:
-                drawn = diffuse_sample(s, u)
         return drawn
 
-    return Bsdf(kinds, masking, evaluate, pdf, sample, _albedo_bound)
-
-
-@wp.func
-def _albedo_bound(s: Surface) -> float:
-    return wp.max(s.reflectance[0], wp.max(s.reflectance[1], s.reflectance[2]))
+    return Bsdf(kinds, masking, evaluate, pdf, sample)

@@ -77,8 +77,12 @@ def _real(item: given.RealObject) -> SceneObject:
 
 def _virtual(item: given.VirtualObject) -> SceneObject:
     look = item.material
-    alpha = look.roughness if isinstance(look, given.Conductor) else 0.0
+    alpha = 0.0 if isinstance(look, given.Diffuse) else look.roughness
     material = replace(_material(look.type, look.reflectance, alpha), name=look.name or "")
+    if isinstance(look, given.Principled):
+        # Schlick's value at normal incidence is the interface's own.
+        f0 = ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
+        material = replace(material, metalness=look.metalness, f0=f0, edge=look.edge_tint)
     return _object(item, material, virtual=True, holdout=item.holdout)
 
 

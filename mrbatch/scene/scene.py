@@ -26,10 +26,10 @@ class Texture:
 class Material:
     """How a surface reflects.
 
-    `kind`: a name of mrbatch.kernels.bsdf ("diffuse", "conductor"). `reflectance` (3,) linear in
-    0..1; `texture` multiplies in place of it. `alpha`: GGX roughness. `from_photo`: the diffuse
+    `kind`: a name of mrbatch.kernels.bsdf ("diffuse", "conductor", "principled"). `reflectance` (3,)
+    linear in 0..1; `texture` multiplies in place of it. `alpha`: GGX roughness. `from_photo`: the diffuse
     reflectance of a real surface is what the photo and the light say it is. `name`: what masks by material
-    call it; empty: as its object.
+    call it; empty: as its object. `metalness`, `f0` and `edge` (3,) as in `kernels.bsdf.Surface`.
     """
 
     kind: str = "diffuse"
@@ -38,6 +38,9 @@ class Material:
     texture: Texture | None = None
     from_photo: bool = False
     name: str = ""
+    metalness: float = 0.0
+    f0: float = 0.0
+    edge: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)

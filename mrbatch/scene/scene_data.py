@@ -25,13 +25,17 @@ SMOOTH = wp.constant(wp.int32(16))
 
 @wp.struct
 class ObjectData:
-    """One object: flags (bits above), BSDF kind, reflectance, GGX alpha, texture number or -1."""
+    """One object: flags (bits above), BSDF kind, reflectance, GGX alpha, texture number or -1, and what
+    only a principled surface has (`kernels.bsdf.Surface`)."""
 
     flags: wp.int32
     kind: wp.int32
     reflectance: wp.vec3
     alpha: wp.float32
     texture: wp.int32
+    metalness: wp.float32
+    f0: wp.float32
+    edge: wp.vec3
 
 
 @wp.struct
@@ -171,6 +175,9 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
         entry.kind = KINDS[item.material.kind]
         entry.reflectance = wp.vec3(*item.material.reflectance)
         entry.alpha = item.material.alpha
+        entry.metalness = item.material.metalness
+        entry.f0 = item.material.f0
+        entry.edge = wp.vec3(*item.material.edge)
         entry.texture = -1
         if item.material.texture is not None:
             entry.texture = len(textures)

@@ -164,7 +164,31 @@ class Conductor(Settings):
     roughness: Reflectance = Field(0.15, description="GGX alpha (not its root), 0..1")
 
 
-Material = Annotated[Diffuse | Conductor, Field(discriminator="type")]
+class Principled(Settings):
+    """Plastic, lacquer, metal and mixtures: the opaque part of OpenPBR, no energy lost at any roughness."""
+
+    type: Literal["principled"] = Field("principled", description="Kind of material")
+    name: Name | None = Field(
+        None, description="Name in the layer `crypto_material`, which objects may share; none: the object's"
+    )
+    reflectance: _ConstantOrTexture = Field(
+        (0.8, 0.8, 0.8),
+        description="Base colour, linear Rec.709, 0..1, or a texture: what lies under the gloss; of metal, "
+        "what it reflects at normal incidence",
+    )
+    metalness: Reflectance = Field(0.0, description="0 plastic .. 1 metal")
+    roughness: Reflectance = Field(
+        0.1, description="GGX alpha, 0..1: the square of the roughness of Blender, glTF and OpenPBR"
+    )
+    ior: Annotated[Number, Field(ge=1.0, le=4.0)] = Field(
+        1.5, description="Index of refraction of the gloss over what is not metal, 1..4; 1: none"
+    )
+    edge_tint: Albedo = Field(
+        (1.0, 1.0, 1.0), description="Of metal: factor on its reflectance at 82 degrees, 0..1 (F82-tint)"
+    )
+
+
+Material = Annotated[Diffuse | Conductor | Principled, Field(discriminator="type")]
 
 
 class Transform(Settings):

@@ -37,6 +37,7 @@ class ShadingFlags:
 
     textures: bool = False
     photo: bool = False
+    principled: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,10 @@ def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> SurfaceFuncs:
         surface.kind = scene.objects[point.object].kind
         surface.alpha = scene.objects[point.object].alpha
         surface.reflectance = wp.vec3(1.0, 1.0, 1.0)
+        if wp.static(flags.principled):
+            surface.metalness = scene.objects[point.object].metalness
+            surface.f0 = scene.objects[point.object].f0
+            surface.edge = scene.objects[point.object].edge
         return surface
 
     @wp.func

@@ -40,7 +40,11 @@ def make_flags(scene: DeviceScene, plan: Plan, settings: DeltaPathTracingSetting
         else settings.light_sampler,
         pixel_filter=settings.pixel_filter,
         strategy=settings.strategy if plan.on("environment-light") else "bsdf",
-        shading=ShadingFlags(textures=plan.on("textures"), photo=plan.on("photo-reflectance")),
+        shading=ShadingFlags(
+            textures=plan.on("textures"),
+            photo=plan.on("photo-reflectance"),
+            principled="principled" in kinds,
+        ),
         virtual_seen=plan.on("virtual"),
         light_change=plan.on("light-change"),
         real_on_real=plan.on("real-on-real"),

@@ -39,7 +39,7 @@ def make_flags(
         else settings.light_sampler,
         pixel_filter=settings.pixel_filter,
         strategy=settings.strategy,
-        shading=ShadingFlags(textures=plan.on("textures")),
+        shading=ShadingFlags(textures=plan.on("textures"), principled="principled" in kinds),
         occlusion=plan.on("occlusion"),
     )
 
