@@ -133,6 +133,7 @@ def command(
 
 def print_scores(report) -> None:
     """The figures, gates, notes and failed frames."""
+    from rich.box import SIMPLE
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -142,12 +143,12 @@ def print_scores(report) -> None:
 
     scores = score_table(report)
     many = f", mean of {scores.frames} frames" if scores.frames > 1 else ""
-    table = Table(title=f"{escape(report.job.name)}{many}", title_justify="left")
+    table = Table(title=f"{escape(report.job.name)}{many}", title_justify="left", box=SIMPLE)
     table.add_column("")
     for column in scores.columns:
-        table.add_column(column, justify="right")
+        table.add_column(column, justify="right", no_wrap=True)
     for title, cells in scores.rows:
-        table.add_row(title, *cells)
+        table.add_row(title, *(cell.replace(" (worst", "\n(worst") for cell in cells))
     console = Console()
     console.print(table)
     for gate in report.gates:

@@ -14,12 +14,13 @@ from mrbatch.errors import EXIT_FRAMES, EXIT_GATE, InputError, MrbatchError, Pla
 from mrbatch.metrics.errors import METRICS, Exposures, ImageErrors, Projection, Scores, image_errors
 from mrbatch.metrics.region import noisy_region_of_interest, region_of_interest
 from mrbatch.report import numbers
-from mrbatch.report.html import MAX_FRAMES_SHOWN
+from mrbatch.report.gallery import MAX_FRAMES_SHOWN, magnitude_legend, signed_legend
 from mrbatch.report.model import (
     File,
     Frame,
     Gate,
     Job,
+    Legend,
     Note,
     Picture,
     Report,
@@ -36,7 +37,6 @@ from mrbatch.report.pictures import (
     magnitude_picture,
     map_scale,
     read_picture,
-    signed_caption,
     signed_picture,
 )
 
@@ -208,16 +208,16 @@ def _three(values: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _both(
     test: LinearPicture, reference: LinearPicture, gain: float | tuple[float, float, float]
-) -> list[tuple[Role, str, np.ndarray]]:
+) -> list[tuple[Role, Legend | None, np.ndarray]]:
     """Picture and reference as a person sees them; signed ones (a light change) on one scale around grey."""
     values = {"composite": test.values, "reference": reference.values}
-    found: list[tuple[Role, str, np.ndarray]] = []
+    found: list[tuple[Role, Legend | None, np.ndarray]] = []
     if min(float(np.min(v)) for v in values.values()) < 0:
         scale = max(map_scale(v) for v in values.values())
         for role, v in values.items():
-            found.append((cast(Role, role), signed_caption(scale), signed_picture(v, scale)))
+            found.append((cast(Role, role), signed_legend(scale), signed_picture(v, scale)))
     else:
-        found += [(cast(Role, role), "", display_codes(v, gain)) for role, v in values.items()]
+        found += [(cast(Role, role), None, display_codes(v, gain)) for role, v in values.items()]
     return found
 
 
@@ -262,13 +262,12 @@ def _pictures(
     found = _both(test, reference, settings.gain)
     difference = test.values.astype(np.float64) - reference.values
     scale, relmse = map_scale(difference), errors.maps["relmse"]
-    found.append(("difference", signed_caption(scale), signed_picture(difference, scale)))
+    found.append(("difference", signed_legend(scale), signed_picture(difference, scale)))
     if "flip_hdr" in errors.maps:
-        found.append(("flip", "HDR, pale is 1", magnitude_picture(errors.maps["flip_hdr"], 1.0)))
+        found.append(("flip", magnitude_legend(1.0), magnitude_picture(errors.maps["flip_hdr"], 1.0)))
     scale = map_scale(np.sqrt(relmse))
-    text = f"root of relMSE, pale is {numbers.number(scale)} or more"
-    found.append(("error", text, magnitude_picture(np.sqrt(relmse), scale)))
+    found.append(("error", magnitude_legend(100 * scale, " %"), magnitude_picture(np.sqrt(relmse), scale)))
     return [
-        (Picture(role=role, path=f"{pair.name}#{role}", frame=pair.number, caption=caption), codes)
-        for role, caption, codes in found
+        (Picture(role=role, path=f"{pair.name}#{role}", frame=pair.number, legend=legend), codes)
+        for role, legend, codes in found
     ]

@@ -11,7 +11,7 @@ import numpy as np
 from mrbatch.errors import MrbatchError
 from mrbatch.metrics.noise import unpack_codes
 from mrbatch.report import numbers
-from mrbatch.report.model import Picture, Report
+from mrbatch.report.model import Legend, Picture, Report
 from mrbatch.report.pictures import (
     LinearPicture,
     data_uri,
@@ -37,24 +37,27 @@ ROLES: dict[str, tuple[str, str]] = {
     "photo": ("Photo", "as filmed, before anything was added"),
     "delta": ("Light change", "on real surfaces: dark is shadow, bright is light that virtual objects send"),
     "difference": ("Difference", "picture minus reference"),
-    "flip": ("FLIP", "the difference that an eye sees when it flips between both"),
+    "flip": ("HDR-FLIP", "the difference that an eye sees when it flips between both"),
     "error": ("Noise left", "root mean square, in per cent of a pixel's own brightness; grey is untouched"),
     "other": ("Picture", ""),
 }
 """Title and one line of meaning by role."""
 COMPARED: dict[str, tuple[str, str]] = {
     "composite": ("Test", "the picture that is judged"),
-    "error": ("Relative error", "root of relMSE of each pixel"),
+    "error": ("Relative error", "in per cent of the reference's own brightness"),
 }
 """Where a report compares pictures with references: nothing is estimated there."""
 
 
-@dataclass(frozen=True)
-class Legend:
-    """A colour bar: `signed` (black, grey, white) or `magma`, with ticks spread evenly along it."""
+def signed_legend(high: float) -> Legend:
+    """Of a picture drawn by `signed_picture`."""
+    text = numbers.number(high)
+    return Legend(kind="signed", ticks=(f"−{text}", "0", f"+{text}"))
 
-    kind: str
-    ticks: tuple[str, ...]
+
+def magnitude_legend(high: float, unit: str = "") -> Legend:
+    """Of a picture drawn by `magnitude_picture`."""
+    return Legend(kind="magma", ticks=(f"0{unit}", f"{numbers.number(high)}{unit}"))
 
 
 @dataclass(frozen=True)
@@ -160,7 +163,7 @@ class _Painter:
 
         if left <= 0:
             return result(why="left out, the page is full")
-        legend = None
+        legend = picture.legend
         codes = self.images.get(picture.path)
         if codes is None:
             try:
@@ -183,15 +186,14 @@ class _Painter:
             except ValueError as error:
                 raise _NotShown(str(error)) from error
             drawn = noise_picture(codes, about.block, display_codes(values))
-            return drawn, Legend("magma", ("0.1 %", "1 %", "10 %", "100 %"))
+            return drawn, Legend(kind="magma", ticks=("0.1 %", "1 %", "10 %", "100 %"))
         if picture.role in ("delta", "difference"):
             scale = self._scale(picture, values)
-            text = numbers.number(scale)
-            return signed_picture(values, scale), Legend("signed", (f"−{text}", "0", f"+{text}"))
+            return signed_picture(values, scale), signed_legend(scale)
         if picture.role in ("error", "flip"):
             flat = np.abs(values).mean(axis=2)
             scale = self._scale(picture, flat)
-            return magnitude_picture(flat, scale), Legend("magma", ("0", numbers.number(scale)))
+            return magnitude_picture(flat, scale), magnitude_legend(scale)
         return display_codes(values), None
 
     def _scale(self, picture: Picture, values: np.ndarray) -> float:

@@ -174,10 +174,18 @@ class NoiseBlocks(_Model):
     codes: str
 
 
+class Legend(_Model):
+    """A colour bar: `signed` (black, grey, white) or `magma` (black to pale), with evenly spread ticks."""
+
+    kind: Literal["signed", "magma"]
+    ticks: tuple[str, ...]
+
+
 class Picture(_Model):
     """A picture to show, by its path relative to the report (or a name given to the drawer).
 
     `layer`: which layer of an EXR file; empty for its R, G, B. `noise`: a map that is laid over it.
+    `legend`: of a picture that is given as it is to be shown; what the page draws itself gets its own.
     """
 
     role: Role
@@ -187,6 +195,7 @@ class Picture(_Model):
     view: str = ""
     caption: str = ""
     noise: NoiseBlocks | None = None
+    legend: Legend | None = None
 
 
 class Gate(_Model):

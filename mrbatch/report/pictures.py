@@ -16,7 +16,6 @@ import numpy as np
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import encode, to_linear
 from mrbatch.metrics.noise import LEVELS
-from mrbatch.report import numbers
 from mrbatch.scene.file_kind import PICTURES, unreadable
 
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pfm")
@@ -162,11 +161,6 @@ def signed_picture(values: np.ndarray, high: float) -> np.ndarray:
     return (
         np.floor(127.5 + 127.5 * np.sign(level) * np.sqrt(np.abs(level)) + 0.5).clip(0, 255).astype(np.uint8)
     )
-
-
-def signed_caption(high: float) -> str:
-    """The legend of a picture drawn by `signed_picture`."""
-    return f"grey: no change; white +{numbers.number(high)}, black -{numbers.number(high)} or beyond"
 
 
 def noise_picture(codes: np.ndarray, block: int, backdrop: np.ndarray) -> np.ndarray:
