@@ -75,6 +75,6 @@ def load(
         if not colon or word not in ("on", "off") or not name:
             raise JobError(f"cannot read --force `{part}`", hint="write `on:NAME` or `off:NAME`, by commas")
         change("force", part.strip(), f'effects.{name}="{word}"')
-    job = load_job(path, changes, confine=confine)
+    job = load_job(path, changes, confine=confine, files=True)
     check_files(job)
     return job

@@ -36,7 +36,7 @@ def command(
     errors: list[MrbatchError] = []
     for path in jobs:
         try:
-            job = load_job(path, overrides, confine=confine)
+            job = load_job(path, overrides, confine=confine, files=not no_files)
             if not no_files:
                 check_files(job)
         except JobErrors as several:

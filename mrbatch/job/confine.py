@@ -8,6 +8,8 @@ from pathlib import Path
 
 from mrbatch.document import shorten
 from mrbatch.errors import JobError, JobErrors, MrbatchError, Place
+from mrbatch.job.choice import Loc
+from mrbatch.job.messages import dotted
 
 HINT = "the job was confined to that folder by --confine"
 MOST = 10
@@ -22,6 +24,13 @@ def fence_of(folder: str | os.PathLike[str] | None) -> Path | None:
 def leads_out(path: Path, fence: Path) -> bool:
     """Whether a path, its links followed as far as they exist, lies outside of the fence."""
     return not Path(os.path.realpath(path)).is_relative_to(fence)
+
+
+def outside(loc: Loc, value: Path, fence: Path, place: Place | None) -> MrbatchError:
+    """The error for a path of a job that leads out, as it was written there."""
+    return JobError(
+        f"`{dotted(loc)}`: the path `{shorten(value)}` leads out of {fence}", place=place, hint=HINT
+    )
 
 
 def check_confined(files: Sequence[Path], fence: Path | None) -> None:

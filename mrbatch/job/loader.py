@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from mrbatch.document import MAX_BYTES, Document, read_document, shorten
+from mrbatch.document import MAX_BYTES, Document, read_document
 from mrbatch.errors import JobError, JobErrors, MrbatchError, Place
 from mrbatch.job.choice import Loc
-from mrbatch.job.confine import HINT, fence_of, leads_out, strays
+from mrbatch.job.confine import fence_of, leads_out, outside
+from mrbatch.job.files import missing_files, near
 from mrbatch.job.messages import dotted, job_errors
 from mrbatch.job.model import Job
 from mrbatch.job.overrides import Override, apply_overrides
+from mrbatch.job.paths import map_paths
 
 _START = """a job begins like this (`mrbatch schema --manual` explains every key):
     capture: {kind: marker-video, frames: footage.mp4, camera: calibration.yaml, ...}
@@ -30,15 +31,17 @@ def load_job(
     overrides: Sequence[Override] = (),
     *,
     confine: str | os.PathLike[str] | None = None,
+    files: bool = False,
 ) -> Job:
     """The job in the file `path`, with `overrides` such as `"virtual.bunny.material.roughness=0.2"`.
 
     Relative paths in the job count from the file's folder, those of overrides too. With `confine`,
     paths that lead out of that folder (links resolved) are refused. Whether the files are there is
-    for `check_files`. Raises JobErrors with everything that is wrong.
+    for `check_files`; with `files`, a job that has errors names its missing files beside them. Raises
+    JobErrors with everything that is wrong.
     """
     file = Path(os.path.abspath(path))
-    return parse_job(_read(file, Path(path)), file, overrides, confine=confine, shown=str(path))
+    return parse_job(_read(file, Path(path)), file, overrides, confine=confine, files=files, shown=str(path))
 
 
 def parse_job(
@@ -47,6 +50,7 @@ def parse_job(
     overrides: Sequence[Override] = (),
     *,
     confine: str | os.PathLike[str] | None = None,
+    files: bool = False,
     shown: str | None = None,
 ) -> Job:
     """The job in `text`, as if it stood in `file` (absolute). Raises JobErrors."""
@@ -59,8 +63,16 @@ def parse_job(
     try:
         job = Job.model_validate(document.data, context=document.data)
     except ValidationError as error:
-        raise JobErrors(job_errors(error, document, Job)) from None
+        errors: list[MrbatchError] = [*job_errors(error, document, Job)]
+        if files:
+            errors += missing_files(document, file.parent, fence_of(confine))
+        raise JobErrors(sorted(errors, key=_position)) from None
     return settle(job, document, file, file.parent, confine=confine)
+
+
+def _position(error: MrbatchError) -> tuple[int, int]:
+    place = error.place or Place()
+    return place.line or 0, place.column or 0
 
 
 def settle(
@@ -83,13 +95,7 @@ def settle(
             return value
         result = Path(os.path.abspath(folder / value))
         if fence is not None and leads_out(result, fence):
-            errors.append(
-                JobError(
-                    f"`{dotted(loc)}`: the path `{shorten(value)}` leads out of {fence}",
-                    place=document.place(loc),
-                    hint=HINT,
-                )
-            )
+            errors.append(outside(loc, value, fence, document.place(loc)))
         return result
 
     job = map_paths(job, absolute)
@@ -102,60 +108,6 @@ def settle(
     return job
 
 
-def check_files(job: Job) -> None:
-    """Whether every file that the job reads is there. Raises JobErrors that name all that are not."""
-    errors: list[MrbatchError] = []
-    for loc, path, written in job_paths(job):
-        place = job.place(*loc)
-        if written:
-            if path.exists() and not path.is_dir():
-                errors.append(JobError(f"`{dotted(loc)}`: {path} is a file, not a folder", place=place))
-        elif not _there(path):
-            errors.append(
-                JobError(f"`{dotted(loc)}`: there is no file {path}", place=place, hint=_near(path))
-            )
-        elif path.exists() and not os.access(path, os.R_OK):
-            errors.append(JobError(f"`{dotted(loc)}`: the file {path} may not be read", place=place))
-        elif job.fence is not None:
-            errors += strays(_there(path), job.fence, place)
-    if errors:
-        raise JobErrors(errors)
-
-
-def job_paths(job: Job) -> Iterator[tuple[Loc, Path, bool]]:
-    """Every path in the job: its place, the path, and whether it is written rather than read."""
-    found: list[tuple[Loc, Path]] = []
-
-    def note(value: Path, loc: Loc) -> Path:
-        found.append((loc, value))
-        return value
-
-    map_paths(job, note)
-    for loc, path in found:
-        yield loc, path, loc == ("output", "directory")
-
-
-def map_paths(value: Any, change: Callable[[Path, Loc], Path], loc: Loc = ()) -> Any:
-    """`value` with `change` applied to every path in it, however deep."""
-    if isinstance(value, Path):
-        return change(value, loc)
-    if isinstance(value, BaseModel):
-        update = {}
-        for name in type(value).model_fields:
-            old = getattr(value, name)
-            new = map_paths(old, change, (*loc, name))
-            if new is not old:
-                update[name] = new
-        return value.model_copy(update=update) if update else value
-    if isinstance(value, (tuple, list)):
-        items = [map_paths(item, change, (*loc, i)) for i, item in enumerate(value)]
-        return type(value)(items) if any(a is not b for a, b in zip(items, value)) else value
-    if isinstance(value, dict):
-        pairs = {key: map_paths(item, change, (*loc, key)) for key, item in value.items()}
-        return pairs if any(pairs[key] is not value[key] for key in value) else value
-    return value
-
-
 def _read(file: Path, shown: Path) -> str:
     place = Place(file=str(shown))
     try:
@@ -164,7 +116,7 @@ def _read(file: Path, shown: Path) -> str:
         with file.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise JobErrors([JobError("there is no such job file", place=place, hint=_near(file))]) from None
+        raise JobErrors([JobError("there is no such job file", place=place, hint=near(file))]) from None
     except OSError as error:
         raise JobErrors([JobError(f"cannot read the job file: {error.strerror}", place=place)]) from None
     if len(raw) > MAX_BYTES:
@@ -179,36 +131,3 @@ def _read(file: Path, shown: Path) -> str:
 def _name_from(file: Path) -> str:
     name = re.sub(r"[^\w .+-]", "_", file.stem)[:100]
     return name if re.match(r"\w", name) else f"job{name}"
-
-
-_PATTERN = re.compile(r"\{[^{}]*\}|%0?\d*d|#+|\*|\?")
-
-
-def _there(path: Path) -> list[Path]:
-    """The file of a path, or those of a pattern such as `photo_{frame:04d}.png`."""
-    if path.exists():
-        return [path]
-    if not _PATTERN.search(path.name) or not path.parent.is_dir():
-        return []
-    wanted = re.compile(
-        "".join(
-            ".*" if _PATTERN.fullmatch(part) else re.escape(part)
-            for part in re.split(f"({_PATTERN.pattern})", path.name)
-        )
-    )
-    return [path.parent / name for name in sorted(os.listdir(path.parent)) if wanted.fullmatch(name)]
-
-
-def _near(path: Path) -> str | None:
-    """What stands where a missing file was looked for."""
-    import difflib
-
-    folder = path.parent
-    if not folder.is_dir():
-        return f"there is no folder {folder} either"
-    try:
-        names = os.listdir(folder)
-    except OSError:
-        return None
-    near = difflib.get_close_matches(path.name, names, n=1)
-    return f"did you mean `{near[0]}`?" if near else None

@@ -75,8 +75,7 @@ class Output(Settings):
     )
     layers: Annotated[tuple[str, ...], BeforeValidator(_to_tuple), Field(min_length=1)] | None = Field(
         None,
-        description="Layers of the files: composite, virtual, background, delta, shadow, depth, ...; none: "
-        f"{', '.join(DEFAULT_LAYERS)}, as far as the method gives them",
+        description=f"Layers of the files; none: of {', '.join(DEFAULT_LAYERS)} those that the method gives",
     )
     dtype: Literal["auto", "half", "float"] = Field(
         "auto", description="Number type of colour; `auto`: half for sources up to 10 bits, else float"

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Concatenate, ParamSpec, TypeVar
 
 from mrbatch.errors import InputError, Place
-from mrbatch.job.loader import job_paths
 from mrbatch.job.model import Job
+from mrbatch.job.paths import job_paths
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -10,8 +10,9 @@ from pydantic import BaseModel
 from mrbatch.document import Document
 from mrbatch.errors import Place
 from mrbatch.job.choice import Loc
-from mrbatch.job.loader import map_paths, settle
+from mrbatch.job.loader import settle
 from mrbatch.job.model import Job
+from mrbatch.job.paths import map_paths
 
 
 def resolved(job: Job) -> dict[str, Any]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from mrbatch.job.model import Job
+from mrbatch.contracts import Method, Participant
+from mrbatch.job.model import FILM_LAYERS, Job
+from mrbatch.methods.registry import METHODS, PARTICIPANTS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -14,7 +16,22 @@ def job_schema() -> dict[str, Any]:
     Job.model_rebuild(force=True)  # the registries may have grown since the last time
     schema = Job.model_json_schema(mode="validation")
     _tidy(schema)
+    _name_choices(schema)
     return {"$schema": DIALECT, **schema, "title": "mrbatch job"}
+
+
+def _name_choices(schema: dict[str, Any]) -> None:
+    """Names of layers and effects: the models look them up in the registries, so the schema does too."""
+    methods = [METHODS.get(name) for name in METHODS.names()]
+    owners: list[Method | Participant] = [
+        *methods,
+        *(PARTICIPANTS.get(name) for name in PARTICIPANTS.names()),
+    ]
+    layers = dict.fromkeys((*FILM_LAYERS, *(layer for method in methods for layer in method.layers)))
+    effects = dict.fromkeys(rule.effect for owner in owners for rule in owner.rules)
+    listed = {"type": "array", "items": {"enum": list(layers)}, "minItems": 1, "uniqueItems": True}
+    schema["$defs"]["Output"]["properties"]["layers"]["anyOf"] = [listed, {"type": "null"}]
+    schema["properties"]["effects"]["propertyNames"] = {"enum": sorted(effects)}
 
 
 _BASE_UNITS = {"(m|": "m", "(deg|": "rad", "(s|": "s"}

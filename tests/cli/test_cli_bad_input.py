@@ -238,6 +238,28 @@ def test_wrong_jobs(job, parts, words):
         assert word in text, text
 
 
+@pytest.mark.parametrize("command", ["validate", "render", "plan"])
+def test_missing_files_beside_a_wrong_key(job, command):
+    """Short forms of parts name files too; one reading shows everything."""
+    change(
+        job,
+        capture={
+            "camera": "lens.yaml",
+            "gain": "gains.csv",
+            "mattes": "hand_####.png",
+            "poses": "track.json",
+        },
+        environment={"file": "dome.exr", "rows": "up"},
+        methd={},
+    )
+    result = CliRunner().invoke(cli.main, [command, str(job)])
+    assert result.exit_code == 2
+    for name in ("lens.yaml", "gains.csv", "hand_####.png", "track.js", "dome.exr"):
+        assert f"there is no file {job.parent / name}" in result.stderr, name
+    assert "unknown key `methd`" in result.stderr and "environment.rows" in result.stderr
+    assert result.stderr.count("there is no file") == 5
+
+
 def test_frames_that_are_not_there(job):
     text = told(render(job, "--frames", "7"), 2)
     assert "--frames 7: there are no frames 7" in text and "0 to 1" in text

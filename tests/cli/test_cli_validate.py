@@ -92,7 +92,8 @@ def test_validate_shows_all_errors_of_all_jobs(job, tmp_path):
     assert result.exit_code == 2
     assert "OK" in result.stdout
     assert f"{other}:2:21: unknown key `ssp`" in result.stderr and f"{other}:3:1:" in result.stderr
-    assert "did you mean `seed`?" in result.stderr and "2 errors" in result.stderr
+    assert "did you mean `seed`?" in result.stderr and "3 errors" in result.stderr
+    assert f"{other}:1:29: `capture.video`: there is no file" in result.stderr
     assert "Traceback" not in result.stderr
 
 

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mrbatch.document import read_document
 from mrbatch.errors import EXIT_USAGE, JobErrors
 from mrbatch.job import check_files, load_job, parse_job
-from mrbatch.job.loader import job_paths
+from mrbatch.job.paths import input_paths, job_paths
 
 FILE = Path("/work-folder/desk.yaml") if os.name != "nt" else Path("C:/work-folder/desk.yaml")
 pytestmark = pytest.mark.usefixtures("toys")
@@ -361,3 +362,50 @@ def test_any_value_at_any_place_gives_a_job_or_errors(sample, data):
     except JobErrors as found:
         # Most point at the option; a few at what it leaves without sense, such as an effect's name.
         assert found.errors and all(error.place.file for error in found.errors)
+
+
+def test_missing_files_are_shown_beside_other_errors(sample, tmp_path):
+    """One reading names them all, in the order of the file."""
+    file = tmp_path / "desk.yaml"
+    text = sample.replace("rows: endpoints", "rows: endpoint").replace("spp: 64", "spp: -1")
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(JobErrors) as caught:
+        load_job(file, files=True)
+    places = [at(e) for e in caught.value.errors]
+    assert places == sorted(places)
+    words = ["desk.mp4", "env.exr", "paper.png", "bunny.ply"]
+    for word in (*words, "endpoint", "-1"):
+        assert position(text, word) in places, word
+    assert sum("there is no file" in e.message for e in caught.value.errors) == 4
+    (tmp_path / "env.exr").write_bytes(b"x")
+    with pytest.raises(JobErrors) as caught:
+        load_job(file, files=True)
+    assert sum("there is no file" in e.message for e in caught.value.errors) == 3
+    with pytest.raises(JobErrors) as caught:
+        load_job(file)
+    assert not any("there is no file" in e.message for e in caught.value.errors)
+
+
+def test_a_confined_job_with_errors_is_not_told_what_lies_outside(sample, tmp_path):
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    (tmp_path / "there.ply").write_bytes(b"x")
+    (inside / "desk.yaml").write_text(sample.replace("spp: 64", "spp: -1"), encoding="utf-8")
+    told = []
+    for name in ("there", "gone"):
+        with pytest.raises(JobErrors) as caught:
+            load_job(inside / "desk.yaml", [f"virtual.bunny.mesh=../{name}.ply"], confine=inside, files=True)
+        told.append([e.message.replace(name, "") for e in caught.value.errors if "ply" in e.message])
+    assert len(told[0]) == 1 and "leads out of" in told[0][0] and told[0] == told[1]
+
+
+def test_paths_of_plain_data_are_those_of_the_job(sample, tmp_path):
+    document = read_document(sample, "x")
+    job = parse_job(sample, tmp_path / "desk.yaml")
+    wanted = {loc: path for loc, path, written in job_paths(job) if not written}
+    assert {loc: tmp_path / path for loc, path in input_paths(document.data)} == wanted and len(wanted) == 4
+
+
+@pytest.mark.parametrize("data", [None, 3, "x", [], {"capture": "x"}, {"virtual": {"mesh": "a.ply"}}])
+def test_paths_of_data_that_are_no_job(data):
+    assert list(input_paths(data)) == []
