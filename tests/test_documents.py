@@ -91,3 +91,24 @@ def test_dependencies_are_described():
     text = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
     described = set(re.findall(r"^\| ([\w.-]+)", text, flags=re.MULTILINE)) - {"package", "---"}
     assert described == {Requirement(line).name for line in lines}
+
+
+def test_what_is_installed_is_used():
+    """Every library to run stands in an import of the package; those of the tests alone are for the tests."""
+    import tomllib
+    from importlib.metadata import packages_distributions
+
+    from packaging.requirements import Requirement
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "mrbatch").rglob("*.py"))
+    imported = set(re.findall(r"^\s*(?:import|from) ([\w]+(?:\.yaml)?)", text, flags=re.MULTILINE))
+    modules: dict[str, set[str]] = {}
+    for module, names in packages_distributions().items():
+        for name in names:
+            modules.setdefault(name.lower().replace("_", "-"), set()).add(module)
+    for line in project["dependencies"]:
+        name = Requirement(line).name.lower().replace("_", "-")
+        found = {"ruamel.yaml"} if name == "ruamel.yaml" else modules.get(name, {name})
+        assert found & imported, f"{name} is installed, but nothing imports it"
+        assert Requirement(line).specifier and "<" in line, f"{line} has no upper bound"
