@@ -139,8 +139,8 @@ def noise_plot(report: Report, *, width: int = 460, height: int = 270) -> NoiseP
         right,
         top,
         bottom,
-        x_axis.ticks(numbers.seconds),
-        y_axis.ticks(lambda v: f"{v:g} %"),
+        x_axis.ticks(_time_text, _times),
+        y_axis.ticks(lambda v: f"{v:g} %", _decimals),
         marks,
         tuple((m.x, m.y) for m in foreseen),
         tuple(m for m in foreseen if m.label),
@@ -162,11 +162,37 @@ class _Axis:
         share = math.log(value / self.low) / math.log(self.high / self.low)
         return self.first + share * (self.last - self.first)
 
-    def ticks(self, write: Callable[[float], str]) -> tuple[Tick, ...]:
-        """At 1, 2 and 5 times powers of ten, fewer where they would be too many."""
-        powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-        for steps in ((1, 2, 5), (1, 3), (1,)):
-            values = [m * 10.0**p for p in powers for m in steps if self.low <= m * 10.0**p <= self.high]
+    def ticks(
+        self, write: Callable[[float], str], candidates: Callable[[float, float, int], list[float]]
+    ) -> tuple[Tick, ...]:
+        """At round numbers, fewer where they would be too many."""
+        for density in (3, 2, 1):
+            values = [v for v in candidates(self.low, self.high, density) if self.low <= v <= self.high]
             if len(values) <= 6:
                 break
         return tuple(Tick(self.at(v), write(v)) for v in values)
+
+
+def _decimals(low: float, high: float, density: int) -> list[float]:
+    """Round numbers about `low` to `high`, `density` (1, 2 or 3) of them in a decade."""
+    steps = {3: (1, 2, 5), 2: (1, 3), 1: (1,)}[density]
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    return [m * 10.0**p for p in powers for m in steps]
+
+
+def _times(low: float, high: float, density: int) -> list[float]:
+    """Round times in seconds: minutes and hours are round, too."""
+    minutes = {3: (1, 2, 5, 10, 20, 30), 2: (1, 3, 10, 30), 1: (1, 10)}[density]
+    return [
+        *(s for s in _decimals(low, high, density) if s < 60),
+        *(60.0 * m for m in minutes),
+        *(3600.0 * h for h in _decimals(1.0, max(high / 3600, 1.0), density)),
+    ]
+
+
+def _time_text(seconds: float) -> str:
+    """`3 s`, `5 min`, `2 h`: for round times."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= size:
+            return f"{seconds / size:g} {unit}"
+    return numbers.seconds(seconds)

@@ -109,10 +109,18 @@ def test_page_fetches_nothing():
     picture = np.zeros((40, 60, 3), np.uint8)
     page = render_html(hostile_report(), images={HOSTILE: picture}, linked=True)
     for tag, name, value in parsed(page).attributes:
-        if (tag, name) == ("a", "href"):
+        if (tag, name) == ("a", "href") and value != "#frames":
             # A link is followed by a person's click only, and leads to a file beside the page.
             assert re.fullmatch(r"\./[\w.%/-]*", value), value
-        elif name in ("src", "href", "srcset", "action", "data", "poster", "background"):
+        elif value != "#frames" and name in (
+            "src",
+            "href",
+            "srcset",
+            "action",
+            "data",
+            "poster",
+            "background",
+        ):
             assert value.startswith("data:image/"), (tag, name, value)
     assert not {"link", "script", "iframe", "object", "embed", "base", "form"} & set(parsed(page).tags)
     for style in re.findall(r"<style>.*?</style>", page, flags=re.DOTALL):
@@ -274,6 +282,16 @@ def test_the_noise_is_said_in_words_with_interval_and_samples():
     ):
         assert words in text, words
     assert "noise left: 10 % \\[5, 20\\] (n = 48), visible grain" in render_markdown(report)
+
+
+def test_what_failed_stands_first():
+    frames = tuple(
+        Frame(number=i, state="failed", message=f"broken {i}", hint="repair it", exit=3) for i in range(8)
+    )
+    page = render_html(Report(job=Job(name="x"), frames=frames, exit=3))
+    first = page[: page.index('id="frames"')]
+    assert "broken 0" in first and "broken 4" in first and "broken 5" not in first
+    assert "3 more stand in the table" in first and page.count("broken 7") == 1
 
 
 def test_states_of_effects_and_facts_are_explained():

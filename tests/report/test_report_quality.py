@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 
@@ -104,3 +105,12 @@ def test_bars_of_noise_are_amplitudes():
     chart = bar_chart(report([0.04, 0.01, 0.0025]).frames, "error")
     assert [round(b.height) for b in chart.bars] == [100, 50, 25] and chart.top == "20 %"
     assert chart.bars[1].text == "frame 11: 10 %"
+
+
+@pytest.mark.parametrize("taken", [1e-4, 0.02, 3.0, 50.0, 1000.0, 3e4, 1e6])
+def test_times_on_the_axis_are_round(taken):
+    plot = noise_plot(report([0.04], seconds=taken))
+    assert plot is not None and 2 <= len(plot.xs) <= 7
+    for tick in plot.xs:
+        assert re.fullmatch(r"\d+ (µs|ms|s|min|h)", tick.text), tick.text
+    assert [tick.at for tick in plot.xs] == sorted(tick.at for tick in plot.xs)
