@@ -31,7 +31,8 @@ def _glossy(facts: ShotFacts) -> Verdict:
 
 
 def _textures(facts: ShotFacts) -> Verdict:
-    textured = [o for o in facts.scene.objects if o.material.texture is not None]
+    looks = [(o.material.texture, o.material.surface_texture) for o in facts.scene.objects]
+    textured = [pair for pair in looks if pair != (None, None)]
     if not textured:
         return absent("no surface has a texture")
     return needed("textured surfaces", objects=len(textured))

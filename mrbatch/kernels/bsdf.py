@@ -263,8 +263,8 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
         spread += (1.0 - s.metalness) * _largest(s.reflectance) * found.under
         found.mirror = 1.0
         if spread > 0.0:
-            # Neither way is ever rarer than it must be for its weight to stay small.
-            found.mirror = wp.clamp(mirrored / (mirrored + spread), 0.1, 0.9)
+            # In proportion to what they return; the lobe is never rare, for it is bright where it is narrow.
+            found.mirror = wp.clamp(mirrored / (mirrored + spread), 0.1, wp.static(1.0 - 2.0**-10))
         return found
 
     @wp.func(name=f"principled_evaluate_{tag}")

@@ -13,8 +13,10 @@ from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import to_linear, to_rec709
 from mrbatch.scene import settings as given
 from mrbatch.scene.environment import Environment, load_environment
+from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
 from mrbatch.scene.gltf_header import further_files
-from mrbatch.scene.mesh import Mesh, box, icosphere, load_mesh, plane
+from mrbatch.scene.gltf_material import material_from_gltf
+from mrbatch.scene.mesh import Mesh, Part, box, concatenate, icosphere, load_mesh, load_parts, plane
 from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
 from mrbatch.scene.stored_picture import check_finite, colour_channels, primaries_of, read_stored
 
@@ -39,11 +41,13 @@ def build_scene(
             scale=environment.scale,
             interpolation=environment.interpolation,
         )
-    objects = tuple(
-        [_real(item) for item in real] + [_virtual(item) for item in virtual],
-    )
+    seen: list[tuple[SceneObject, tuple[str, ...]]] = []
+    for item in virtual:
+        seen += _virtual(item)
+    objects = tuple([_real(item) for item in real] + [found for found, _ in seen])
+    told = [note for _, more in seen for note in more]
     textures = [item.material.texture for item in objects if item.material.texture is not None]
-    notes = (*light.notes, *(note for texture in textures for note in texture.notes))
+    notes = (*light.notes, *told, *(note for texture in textures for note in texture.notes))
     return Scene(objects, light, centre(objects), tuple(dict.fromkeys(notes)))
 
 
@@ -61,7 +65,8 @@ def scene_files(
     for item in items:
         if item.mesh is not None:
             files += [item.mesh, *further_files(item.mesh)]
-        reflectance = item.material.reflectance if isinstance(item, given.VirtualObject) else item.reflectance
+        look = item.material if isinstance(item, given.VirtualObject) else item
+        reflectance = look.reflectance if look is not None else None
         if isinstance(reflectance, given.Texture):
             files.append(reflectance.texture)
     return files
@@ -72,22 +77,48 @@ def _real(item: given.RealObject) -> SceneObject:
         material = Material(from_photo=True)
     else:
         material = _material("diffuse", item.reflectance, 0.0)
-    return _object(item, material, virtual=False, holdout=False)
+    return _object(item, material, _shape(item), virtual=False, holdout=False)
 
 
-def _virtual(item: given.VirtualObject) -> SceneObject:
+def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ...]]]:
+    """The object, or one of its name for each material of a glTF file; with notes on each."""
     look = item.material
+    if look is None:
+        if item.mesh is not None and item.mesh.suffix.lower() in GLTF_SUFFIXES:
+            return _as_its_file_says(item, item.mesh)
+        look = given.Diffuse()
     alpha = 0.0 if isinstance(look, given.Diffuse) else look.roughness
     material = replace(_material(look.type, look.reflectance, alpha), name=look.name or "")
     if isinstance(look, given.Principled):
         # Schlick's value at normal incidence is the interface's own.
         f0 = ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
         material = replace(material, metalness=look.metalness, f0=f0, edge=look.edge_tint)
-    return _object(item, material, virtual=True, holdout=item.holdout)
+    return [(_object(item, material, _shape(item), virtual=True, holdout=item.holdout), ())]
 
 
-def _object(item: given.Object, material: Material, *, virtual: bool, holdout: bool) -> SceneObject:
-    mesh = _shape(item)
+def _as_its_file_says(item: given.VirtualObject, path: Path) -> list[tuple[SceneObject, tuple[str, ...]]]:
+    """One scene object for each material of the glTF file, all of the object's name."""
+    place = Place(file=str(path))
+    groups: dict[int, list[Part]] = {}
+    for part in load_parts(path, pictures=True):
+        if len(part.mesh.faces):
+            groups.setdefault(id(part.material), []).append(part)
+    found: list[tuple[SceneObject, tuple[str, ...]]] = []
+    for parts in groups.values():
+        mesh = _shaded(concatenate([part.mesh for part in parts]), item)
+        material, left_out = material_from_gltf(parts[0].material, place)
+        name = str(getattr(parts[0].material, "name", None) or "")
+        notes = (f"{path.name}: {', '.join(left_out)} of its material left out",) if left_out else ()
+        if mesh.uvs is None:
+            material = replace(material, texture=None, surface_texture=None)
+        material = replace(material, name=name or item.name)
+        found.append((_object(item, material, mesh, virtual=True, holdout=item.holdout), notes))
+    return found
+
+
+def _object(
+    item: given.Object, material: Material, mesh: Mesh, *, virtual: bool, holdout: bool
+) -> SceneObject:
     if material.texture is not None and mesh.uvs is None:
         raise InputError(
             f"the object `{item.name}` has a texture, but its mesh has no texture coordinates",
@@ -117,6 +148,11 @@ def _shape(item: given.Object) -> Mesh:
     else:
         assert item.mesh is not None
         mesh = load_mesh(item.mesh)
+    return _shaded(mesh, item)
+
+
+def _shaded(mesh: Mesh, item: given.Object) -> Mesh:
+    """With the normals that the object asks for."""
     if item.normals == "smooth":
         return mesh.with_angle_weighted_normals()
     if item.normals == "flat":

@@ -83,6 +83,16 @@ def buffer_files(path: Path, header: dict[str, Any], place: Place) -> dict[str, 
     return found
 
 
+def picture_files(path: Path, header: dict[str, Any]) -> dict[str, Path]:
+    """The files that hold pictures, by URI: those below the glTF file's own folder that are there."""
+    found = {}
+    for uri in _named(header, "images"):
+        picture = _inside(path, uri)
+        if picture is not None and picture.is_file():
+            found[uri] = picture
+    return found
+
+
 def further_files(path: Path) -> list[Path]:
     """Files beside a mesh file that belong to it: a glTF's buffers, and its pictures where they are there.
 
@@ -92,12 +102,7 @@ def further_files(path: Path) -> list[Path]:
         return []
     place = Place(file=str(path))
     header = read_gltf_header(path, place)
-    files = list(buffer_files(path, header, place).values())
-    for uri in _named(header, "images"):
-        picture = _inside(path, uri)
-        if picture is not None and picture.is_file():
-            files.append(picture)
-    return files
+    return [*buffer_files(path, header, place).values(), *picture_files(path, header).values()]
 
 
 def check_gltf_header(path: Path, place: Place) -> dict[str, Path]:

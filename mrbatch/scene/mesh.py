@@ -14,7 +14,7 @@ import numpy as np
 
 from mrbatch.errors import InputError, Place, ResourceError
 from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
-from mrbatch.scene.gltf_header import check_gltf_header
+from mrbatch.scene.gltf_header import check_gltf_header, picture_files, read_gltf_header
 from mrbatch.scene.ply_header import check_ply_header
 
 MAX_TRIANGLES = 2**31 // 3 - 1
@@ -158,7 +158,22 @@ def concatenate(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def load_mesh(path: str | Path) -> Mesh:
-    """A mesh from PLY, OBJ, STL, GLB or GLTF; a scene's meshes are placed by its nodes and joined.
+    """All triangles of a mesh file as one mesh; see `load_parts`."""
+    return concatenate([part.mesh for part in load_parts(path)])
+
+
+@dataclass(frozen=True)
+class Part:
+    """A mesh of a file, placed by its node, and the file's own description of its material (or None)."""
+
+    mesh: Mesh
+    material: Any
+
+
+def load_parts(path: str | Path, *, pictures: bool = False) -> list[Part]:
+    """The meshes of a PLY, OBJ, STL, GLB or GLTF file, placed by its nodes.
+
+    `pictures`: whether the textures of a glTF file's materials are read too.
 
     The file's own vertex normals and texture coordinates are kept, its vertices are neither merged nor
     reordered (OBJ: one for each used combination of position, texture coordinate and normal; STL: three
@@ -190,31 +205,38 @@ def load_mesh(path: str | Path) -> Mesh:
         )
     if suffix == ".ply":
         check_ply_header(path, size, place)
-    parts = [_from_trimesh(part, matrix, suffix, place) for part, matrix in _read(path, suffix, place)]
-    mesh = concatenate(parts) if parts else None
-    if mesh is None or len(mesh.faces) + mesh.dropped == 0:
+    parts = [
+        Part(_from_trimesh(part, matrix, suffix, place), getattr(part.visual, "material", None))
+        for part, matrix in _read(path, suffix, place, pictures)
+    ]
+    triangles = sum(len(part.mesh.faces) for part in parts)
+    dropped = sum(part.mesh.dropped for part in parts)
+    if triangles + dropped == 0:
         raise InputError(
             "the mesh has no faces",
             place=place,
             hint="export it with triangles; a point cloud cannot stand as an object",
         )
-    if len(mesh.faces) == 0:
+    if triangles == 0:
         raise InputError(
-            f"none of the mesh's {mesh.dropped} triangles is usable (not finite, or without area)",
+            f"none of the mesh's {dropped} triangles is usable (not finite, or without area)",
             place=place,
             hint="repair or export the mesh again",
         )
-    return mesh
+    return parts
 
 
-def _read(path: Path, suffix: str, place: Place) -> list[tuple[Any, np.ndarray]]:
+def _read(path: Path, suffix: str, place: Place, pictures: bool) -> list[tuple[Any, np.ndarray]]:
     """The file's meshes with the transform of each of their nodes."""
     import trimesh
 
-    # What the reader may open beside the file: a glTF's own buffers, and no picture or material library.
+    # What the reader may open beside the file: a glTF's own buffers, its pictures, no material library.
     beside: dict[str, bytes] = {}
     if suffix in GLTF_SUFFIXES:
-        beside = {uri: file.read_bytes() for uri, file in check_gltf_header(path, place).items()}
+        files = check_gltf_header(path, place)
+        if pictures:
+            files |= picture_files(path, read_gltf_header(path, place))
+        beside = {uri: file.read_bytes() for uri, file in files.items()}
     try:
         options = _READER_OPTIONS.get(suffix, {})
         scene = trimesh.load_scene(str(path), process=False, resolver=beside, **options)

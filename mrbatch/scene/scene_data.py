@@ -36,6 +36,7 @@ class ObjectData:
     metalness: wp.float32
     f0: wp.float32
     edge: wp.vec3
+    surface_texture: wp.int32
 
 
 @wp.struct
@@ -182,6 +183,10 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
         if item.material.texture is not None:
             entry.texture = len(textures)
             textures.append(item.material.texture.pixels)
+        entry.surface_texture = -1
+        if item.material.surface_texture is not None:
+            entry.surface_texture = len(textures)
+            textures.append(item.material.surface_texture.pixels)
         objects.append(entry)
     if n_triangles > MAX_TRIANGLES:
         raise InputError(f"{n_triangles} triangles are more than {MAX_TRIANGLES}")

@@ -333,7 +333,10 @@ class RealObject(Object):
 class VirtualObject(Object):
     """Something that was not there."""
 
-    material: Material = Field(Diffuse(), description="How its surface reflects")
+    material: Material | None = Field(
+        None,
+        description="How its surface reflects; none: as a glTF file says, else diffuse grey",
+    )
     holdout: bool = Field(
         False, description="Whether it cuts a hole: it hides virtual objects and shows the photo"
     )

@@ -97,6 +97,12 @@ def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> SurfaceFuncs:
     def surface_at(scene: SceneData, photo: PhotoReflectance, point: SurfacePoint) -> Surface:
         surface = bare_at(scene, photo, point)
         surface.reflectance = reflectance_at(scene, photo, point)
+        if wp.static(flags.principled and flags.textures):
+            found = scene.objects[point.object].surface_texture
+            if found >= 0:
+                look = sample_texture(scene.textures, found, texture_coordinates(scene, point))
+                surface.alpha = look[0]
+                surface.metalness = look[1]
         return surface
 
     return SurfaceFuncs(surface_at, bare_at, reflectance_at)

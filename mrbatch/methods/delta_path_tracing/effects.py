@@ -51,6 +51,9 @@ def _real_on_real(facts: ShotFacts) -> Verdict:
 
 
 def _can_send(item: SceneObject) -> bool:
+    # What lies over a black base is not black.
+    if item.material.kind == "principled":
+        return True
     return item.material.texture is not None or max(item.material.reflectance) > 0.0
 
 
