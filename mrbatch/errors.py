@@ -15,6 +15,8 @@ EXIT_USAGE = 2
 EXIT_INPUT = 3
 EXIT_FRAMES = 4
 EXIT_RESOURCES = 5
+EXIT_INTERNAL = 70
+"""A defect of the program (`EX_SOFTWARE` of sysexits.h), none of the codes that scripts act on."""
 EXIT_INTERRUPTED = 130
 
 

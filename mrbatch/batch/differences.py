@@ -64,8 +64,3 @@ def _flat(value: Any, path: str = "") -> dict[str, str]:
     for key, item in parts:
         found |= _flat(item, f"{path}.{key}" if path else str(key))
     return found
-
-
-def short_hash(text: str) -> str:
-    """Twelve digits of a content hash, without the name of the algorithm."""
-    return text.rpartition(":")[2][:12]

@@ -16,10 +16,11 @@ from typing import Any
 
 from mrbatch.batch.claim import Claims
 from mrbatch.batch.commit import as_resource_error, flush_file, flush_folder, leftovers, temporary_name
-from mrbatch.batch.differences import differences, short_hash
+from mrbatch.batch.differences import differences
 from mrbatch.batch.journal import JournalReader
 from mrbatch.batch.presence import Presence
 from mrbatch.errors import JobError, Place
+from mrbatch.report.numbers import short_hash
 
 JOB_FILE = "job.json"
 

@@ -189,6 +189,7 @@ def prepare(
     layers = layer_names(job)
     wanted = needs(layers)
     if shot is None:
+        progress("planning the effects", 0, len(numbers))
         with timing.measure("plan"):
             shot = _plan(job, key, table, capture, facts, scene, numbers, windows, wanted)
         if directory is not None and write:

@@ -127,7 +127,8 @@ def event_text(event: tell.Event) -> str:
         case tell.FrameFailed():
             if event.held_from is not None:
                 return f"frame {event.frame}: shows frame {event.held_from} instead"
-            return f"frame {event.frame} failed: {event.message}"
+            message = event.message.removeprefix(f"frame {event.frame}: ")
+            return f"frame {event.frame} failed: {message}"
         case tell.Waiting():
             frames = "frame is" if event.frames == 1 else "frames are"
             return f"waiting: {event.frames} {frames} with {event.holder or 'other processes'}"

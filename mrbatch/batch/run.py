@@ -231,7 +231,7 @@ class _Run:
             tell.Started(
                 request.job_name,
                 str(request.directory),
-                len(request.frames),
+                len(request.frames) + len(request.absent),
                 len(self.kept),
                 findings.summary(),
             )

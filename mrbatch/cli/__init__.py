@@ -16,10 +16,14 @@ from typing import Any, NoReturn
 import click
 
 from mrbatch import __version__
-from mrbatch.errors import EXIT_INTERRUPTED, EXIT_RESOURCES, EXIT_USAGE, JobErrors, MrbatchError
-
-EXIT_INTERNAL = 70
-"""A defect of the program (`EX_SOFTWARE` of sysexits.h), none of the codes that scripts act on."""
+from mrbatch.errors import (
+    EXIT_INTERNAL,
+    EXIT_INTERRUPTED,
+    EXIT_RESOURCES,
+    EXIT_USAGE,
+    JobErrors,
+    MrbatchError,
+)
 
 DEBUG_HELP = "Show the traceback of an error."
 

@@ -107,7 +107,8 @@ def _show(prepared: Prepared, chosen: Sequence[int], verbose: bool) -> None:
         table.add_row(name, f"[{COLOURS[effect.state]}]{effect.state}[/]", effect.why)
     console.print(table)
     total = {name: window.domain().units for name, window in prepared.windows.items()}
-    console.print(_summary(plan, set(chosen), total))
+    if len(chosen) > 1:
+        console.print(_summary(plan, set(chosen), total))
     if not verbose and len(chosen) > MOST:
         hint = f"{len(chosen)} frames; --verbose or --frames shows each, --mask FILE.png draws one"
         console.print(hint, style="dim", highlight=False)

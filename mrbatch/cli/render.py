@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mrbatch.cli.job_options import job_options, load
+from mrbatch.errors import EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_RESOURCES, MrbatchError
 
 if TYPE_CHECKING:
     from mrbatch.batch.request import RunResult
@@ -42,7 +43,6 @@ def command(
 
     from mrbatch.batch.interrupt import interrupts
     from mrbatch.batch.progress import progress
-    from mrbatch.errors import MrbatchError
 
     began = time.perf_counter()
     stop = threading.Event()
@@ -63,8 +63,8 @@ def command(
                 report=not no_report,
                 began=began,
             )
-        except MrbatchError as error:
-            events(tell.Failed(str(error), error.exit_code))
+        except BaseException as error:
+            events(tell.Failed(str(error) or type(error).__name__, _code(error)))
             raise
     result = outcome.result
     if mode not in ("json", "none"):
@@ -72,6 +72,15 @@ def command(
     if result.error is not None:
         raise result.error
     return outcome.exit_code
+
+
+def _code(error: BaseException) -> int:
+    """What the command will end with (`mrbatch.cli.show_error`)."""
+    if isinstance(error, MrbatchError):
+        return error.exit_code
+    if isinstance(error, (KeyboardInterrupt, click.Abort)):
+        return EXIT_INTERRUPTED
+    return EXIT_RESOURCES if isinstance(error, MemoryError) else EXIT_INTERNAL
 
 
 def _conclude(result: RunResult, directory: Path, page: Path | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mrbatch.batch.differences import differences, short_hash
+from mrbatch.batch.differences import differences
 
 
 def facts(**changes: Any) -> dict[str, Any]:
@@ -61,7 +61,3 @@ def test_long_values_are_cut():
     new["settings"]["output"]["layers"] = ["x" * 200]
     (line,) = differences(facts(), new)
     assert len(line) < 120 and line.endswith("...")
-
-
-def test_short_hash():
-    assert short_hash("sha256:0123456789abcdef") == "0123456789ab" == short_hash("0123456789abcdef")

@@ -290,6 +290,7 @@ def test_what_can_be_refused_is_refused_before_anything_slow(job, tmp_path, monk
     assert "seed: 0 -> 7" in text and "method.spp: 4 -> 8" in text and "sha256" not in text
     assert "--overwrite" in text
     assert "there are no frames 99" in told(render(job, "--frames", 99), 2)
+    assert "sky.exr" in told(render(job, "--output", tmp_path / "sky.exr" / "out"), 5)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "small.0001.exr").write_bytes(b"somebody's own")
     assert "there already" in told(render(job, "--output", tmp_path / "mine"), 2)

@@ -37,6 +37,11 @@ def test_few_frames_get_a_row_each_many_a_summary(job):
     assert verbose.output.count(" of 12") >= 12 and "--verbose" not in verbose.output
 
 
+def test_one_frame_needs_no_summary(job):
+    one = plan(job, "--frames", 3).output
+    assert "fewest" not in one and one.count(" of 12") >= 1
+
+
 def test_json_has_the_tiles_and_where_they_lie(job):
     told = json.loads(plan(job, "--frames", "3,5", "--json").stdout)
     assert [frame["frame"] for frame in told["frames"]] == [3, 5]

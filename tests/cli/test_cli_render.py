@@ -40,6 +40,22 @@ def test_early_failures_are_events_too(job, tmp_path):
     assert event["event"] == "error" and event["exit_code"] == result.exit_code == 3
 
 
+@pytest.mark.parametrize(
+    ("raised", "code"), [(KeyboardInterrupt(), 130), (MemoryError(), 5), (ZeroDivisionError("a defect"), 70)]
+)
+def test_whatever_ends_the_command_is_an_event(job, monkeypatch, raised, code):
+    from mrbatch.batch import job_run
+
+    def end(*_: object, **__: object) -> None:
+        raise raised
+
+    monkeypatch.setattr(job_run, "prepare", end)
+    result = render(job, "--progress", "json")
+    assert result.exit_code == code
+    events = [json.loads(line) for line in result.stderr.splitlines() if line.startswith("{")]
+    assert events[-1]["event"] == "error" and events[-1]["exit_code"] == code and events[-1]["message"]
+
+
 def test_nothing_to_do_is_said_only_where_all_is_well(job, tmp_path):
     assert render(job, "--progress", "plain").exit_code == 0
     assert "2 kept" in render(job, "--progress", "plain").stderr
@@ -63,6 +79,8 @@ def test_many_failed_frames_are_not_all_shown(tmp_path):
     result = render(job, "--progress", "plain")
     assert sum(line.startswith("error: ") for line in result.stderr.splitlines()) == 10
     assert "and 18 more frames that failed" in result.stderr
+    assert "small: 31 frames to" in result.stderr
+    assert "frame 7 failed: the footage has no such frame" in result.stderr
 
 
 def test_inputs_are_told_as_they_are_read(job):
