@@ -323,8 +323,10 @@ class _Run:
         known = self.journal.failures.get(frame, ())
         # A frame that fails again as it did before is no news.
         if not any(entry.job_hash == job_hash and entry.error == text for entry in known):
+            file = f"{Path(place.file).name}: " if place.file else ""
+            message = file + error.message
             self.writer.append(
-                FailureEntry(job_hash, frame, text, error.message, error.hint or "", error.exit_code)
+                FailureEntry(job_hash, frame, text, message, error.hint or "", error.exit_code)
             )
         self._tell(tell.FrameFailed(frame, text))
 

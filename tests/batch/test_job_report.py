@@ -148,7 +148,9 @@ def test_a_run_that_stopped_says_where_and_what_was_not_tried(tmp_path):
     assert any(isinstance(e, tell.Note) and "2 frames were not tried" in e.message for e in told)
     report = outcome.report
     assert states(report) == ["done", "failed", "skipped", "skipped"]
-    assert "damaged or cut short" in report.frames[1].message and report.frames[1].hint
+    message = report.frames[1].message
+    assert message.startswith("photo_0001.png: ") and "damaged or cut short" in message
+    assert report.frames[1].hint
     assert report.frames[2].message == "not tried: the run stopped at frame 1"
     assert report.exit == 4
     (tmp_path / "photo_0001.png").write_bytes(whole)
