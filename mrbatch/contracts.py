@@ -273,11 +273,15 @@ class Capture(Protocol):
     def frame_numbers(self) -> Sequence[int]:
         """Numbers of all usable frames, in order."""
 
+    def announced_numbers(self) -> Sequence[int]:
+        """Numbers of all frames that the shot should have, in order, those that are missing included; known
+        before anything is prepared."""
+
     def prepare(self, progress: Progress) -> Mapping[str, Any]:
         """Sees the whole shot once; gives a JSON-ready table (frame times, poses, gains, ...).
 
         `cuts` in it, if there: numbers of first frames of new scenes, over which no history goes.
-        `absent`, if there: by number (as text) why a frame that belongs to the shot can never be rendered.
+        `absent`, if there: by number (as text) why an announced frame can never be rendered.
         """
 
     def facts(self, table: Mapping[str, Any]) -> Any:

@@ -34,7 +34,7 @@ from mrbatch.errors import MrbatchError, worst_exit_code
 from mrbatch.film.layers import empty
 from mrbatch.film.verification import verify_frame
 from mrbatch.job import select_frames
-from mrbatch.job.frames import beyond, check_within, includes
+from mrbatch.job.frames import beyond
 from mrbatch.job.model import Job
 from mrbatch.report.html import write_html
 from mrbatch.report.model import Report, save_report
@@ -128,11 +128,10 @@ def _prepare(
 
     directory = job.output.directory
     capture, numbers = open_capture(job, timing)
-    check_within(job.frames, numbers, place=job.place("frames"))
+    chosen = select_frames(job.frames, numbers, place=job.place("frames"))
     if not overwrite and held_record(directory) is None and not JournalReader(directory).frames:
-        chosen = [n for n in numbers if includes(job.frames, n)]
         check_strangers(frame_path(directory, job.output.pattern, job.name, n) for n in chosen)
-    opened = look_at(job, capture, numbers, timing, progress)
+    opened = look_at(job, capture, timing, progress)
     if not overwrite:
         check_holder(directory, opened.facts)
     there = directory if directory.is_dir() else None

@@ -64,11 +64,10 @@ class Opened:
     """A job whose files have been looked at, before anything is solved or planned.
 
     `facts`: what the shot is made of, JSON-ready: `settings` that pixels depend on, `inputs` (content hash by
-    name), `engine` asked for, `version`; `key`: their hash. `numbers`: frames that the capture has.
+    name), `engine` asked for, `version`; `key`: their hash.
     """
 
     capture: Capture
-    numbers: tuple[int, ...]
     facts: Mapping[str, Any]
 
     @property
@@ -129,20 +128,14 @@ def output_views(
 
 @tells_where_named
 def open_capture(job: Job, timing: TimingNode) -> tuple[Capture, tuple[int, ...]]:
-    """The capture and the numbers of its frames. Raises InputError."""
+    """The capture and the numbers of the frames that it should have. Raises InputError."""
     with timing.measure("open"):
         capture: Capture = CAPTURES.get(job.capture_kind).open(job.capture, job.folder)
-        return capture, tuple(int(n) for n in capture.frame_numbers())
+        return capture, tuple(int(n) for n in capture.announced_numbers())
 
 
 @tells_where_named
-def look_at(
-    job: Job,
-    capture: Capture,
-    numbers: tuple[int, ...],
-    timing: TimingNode,
-    progress: Progress = no_progress,
-) -> Opened:
+def look_at(job: Job, capture: Capture, timing: TimingNode, progress: Progress = no_progress) -> Opened:
     """Hashes every input of an opened capture. Raises InputError, JobErrors for files outside the fence."""
     with timing.measure("open"):
         files = [Path(p) for p in capture.inputs()]
@@ -151,7 +144,7 @@ def look_at(
     check_confined(files, job.fence)
     with timing.measure("hash inputs"):
         inputs = [list(pair) for pair in input_hashes(files, job.folder, progress)]
-    return Opened(capture, numbers, {**own_facts(job), "inputs": inputs})
+    return Opened(capture, {**own_facts(job), "inputs": inputs})
 
 
 @tells_where_named
@@ -172,7 +165,7 @@ def prepare(
     is not available.
     """
     if opened is None:
-        opened = look_at(job, *open_capture(job, timing), timing, progress)
+        opened = look_at(job, open_capture(job, timing)[0], timing, progress)
     capture, key = opened.capture, opened.key
     with timing.measure("scene"):
         scene = build_scene(job.environment, job.real, job.virtual)

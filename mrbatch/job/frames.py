@@ -83,23 +83,6 @@ def select_frames(selection: str, available: Sequence[int], *, place: Place | No
     return tuple(sorted(chosen))
 
 
-def includes(selection: str, number: int) -> bool:
-    """Whether a frame is among those that `selection` names."""
-    if selection == ALL:
-        return True
-    return any(a <= number <= b and (number - a) % n == 0 for a, b, n in _ranges(selection))
-
-
-def check_within(selection: str, available: Sequence[int], *, place: Place | None = None) -> None:
-    """The quick check before it is known which frames can be used: refuses a part that lies wholly before
-    the first or behind the last of `available`. Raises JobError."""
-    if selection != ALL and available:
-        first, last = min(available), max(available)
-        for a, b, n in _ranges(selection):
-            if b < first or a > last:
-                select_frames(f"{a}-{b}x{n}", (first, last), place=place)
-
-
 def beyond(selection: str, available: Sequence[int]) -> str:
     """What to tell of ranges that reach beyond the frames that are there; empty where none does."""
     if selection == ALL or not available:

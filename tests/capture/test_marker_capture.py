@@ -382,6 +382,7 @@ def test_frames_cut_off_a_video_are_absent(shot):
     there = len(capture.frame_numbers())
     assert 2 < there < 8
     assert list(table["absent"]) == [str(n) for n in range(there, 8)]
+    assert list(capture.announced_numbers()) == list(range(8))
     assert any(note.startswith(f"missing in the footage: {8 - there} frame") for note in table["notes"])
     assert list(prepared(shot, frames="cut.mp4", subset={"last": there})[1]["absent"]) == [str(there)]
     for rate in (25, None):

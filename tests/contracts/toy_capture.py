@@ -42,6 +42,8 @@ class ToyCapture:
     def frame_numbers(self) -> Sequence[int]:
         return range(self.settings.first, self.settings.first + self.settings.count)
 
+    announced_numbers = frame_numbers
+
     def prepare(self, progress: Progress) -> Mapping[str, Any]:
         return {"cuts": list(self.settings.cuts)}
 

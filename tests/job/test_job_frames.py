@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mrbatch.errors import JobError
-from mrbatch.job.frames import beyond, canonical_frames, check_within, includes, select_frames
+from mrbatch.job.frames import beyond, canonical_frames, select_frames
 
 
 @pytest.mark.parametrize(
@@ -41,8 +41,3 @@ def test_parts_beyond_what_is_there():
     there = [0, 1, 2, 15]
     assert beyond("0-99", there) == "of the frames 0-99 asked for, 0 to 15 are there"
     assert beyond("0-15,3", there) == beyond("all", there) == ""
-    check_within("7,0-99", there)  # 7 may turn out to be missing: that is the frame's fault
-    for outside in ("99", "0-2,16-20x2"):
-        with pytest.raises(JobError, match="there are no frames"):
-            check_within(outside, there)
-    assert [n for n in there if includes("1-15x7", n)] == [1, 15] and includes("all", 3)

@@ -106,6 +106,11 @@ class MarkerVideoCapture:
         """All frames of the subset; after `prepare`, without those that have no pose (`lost: skip`)."""
         return self._posed if self._posed is not None else self._chosen()
 
+    def announced_numbers(self) -> Sequence[int]:
+        """All frames of the subset, gaps of a sequence and the cut end of a video included."""
+        chosen = self._chosen()
+        return sorted({*chosen, *self._missing(self._opened(), chosen)})
+
     def inputs(self) -> Sequence[Path]:
         settings, numbers = self.settings, tuple(self._chosen())
         paths = self._opened().paths(numbers)
