@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mrbatch.scene.mesh import Mesh
+from mrbatch.scene.mesh import plane_of
 from mrbatch.scene.scene import Scene, SceneObject
 
 Side = tuple[np.ndarray, float]
@@ -110,24 +110,6 @@ def _albedo(item: SceneObject) -> np.ndarray:
     if item.material.texture is not None:
         return item.material.texture.pixels.reshape(-1, 3).max(axis=0).astype(np.float64)
     return np.asarray(item.material.reflectance, dtype=np.float64)
-
-
-def plane_of(mesh: Mesh) -> Side | None:
-    """Unit normal n and offset c with n . x = c for every vertex, or None where the mesh is not flat.
-
-    Flat within the float32 spacing of its coordinates.
-    """
-    areas = mesh.face_areas()
-    if len(areas) == 0 or areas.max() == 0.0:
-        return None
-    n = mesh.face_normals()[int(np.argmax(areas))]
-    n = n / np.linalg.norm(n)
-    used = mesh.vertices[np.unique(mesh.faces)]
-    offsets = used @ n
-    spacing = np.spacing(np.float32(np.abs(used).max()))
-    if offsets.max() - offsets.min() > 4 * spacing:
-        return None
-    return n, float(offsets.mean())
 
 
 class LightBounds:

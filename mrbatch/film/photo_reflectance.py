@@ -3,8 +3,9 @@
 With it the light change of a real point is L_b dE / E_r (Sato et al.; TRAP-3b of Xu et al.'s
 method): no albedo has to be known, and ink stays ink under a shadow. E_r, the irradiance without
 virtual objects, comes from the environment where no real surface is in the way, from the photo where
-one is that the camera sees, and by further bounces from one that it does not. A point that the camera
-does not see takes the mean reflectance of its surface.
+one is that the camera sees, and by further bounces from one that it does not. A flat surface that no other
+rises above has the map's own irradiance, and no ray is traced. A point that the camera does not see takes
+the mean reflectance of its surface.
 
 The whole photo is used, whatever part of it is rendered, so that a crop is the crop of the picture.
 """
@@ -34,6 +35,8 @@ from mrbatch.kernels.numerics import (
 from mrbatch.kernels.rng import make_sampler, pixel_key
 from mrbatch.kernels.sampling import cosine_hemisphere
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.mesh import plane_of
+from mrbatch.scene.scene import Scene
 from mrbatch.scene.scene_data import PHOTO, DeviceScene, SceneData, surface_point
 from mrbatch.scene.shading import PhotoReflectance
 
@@ -122,6 +125,9 @@ def _make_kernels(
         scene: SceneData,
         frame: FrameParams,
         film: FilmData,
+        open_sides: wp.array(dtype=wp.int32),
+        normals: wp.array(dtype=wp.vec3),
+        open_light: wp.array(dtype=wp.vec3),
         units: wp.array(dtype=wp.int32),
         first_unit: int,
         half: int,
@@ -140,11 +146,17 @@ def _make_kernels(
         primary = camera_ray(frame.camera, float(pixel.x) + 0.5, float(pixel.y) + 0.5)
         hit = trace(scene.photo_set, primary.origin, primary.direction, FAR)
         point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
+        side = 2 * owner
+        if wp.dot(point.ng, normals[owner]) < 0.0:
+            side += 1
         first_basis = orthonormal_basis(point.ns)
         key = pixel_key(frame.seed, frame.frame, frame.view, 2, pixel.x, pixel.y)
         irradiance = wp.vec3d()
         cast = int(1)
-        for n in range(int(SAMPLES)):
+        count = int(SAMPLES)
+        if open_sides[side] != 0:
+            count = 0
+        for n in range(count):
             value = wp.vec3(0.0, 0.0, 0.0)
             throughput = wp.vec3(1.0, 1.0, 1.0)
             here = point
@@ -193,6 +205,8 @@ def _make_kernels(
                 basis = orthonormal_basis(here.ns)
             irradiance += wp.vec3d(wp.float64(value[0]), wp.float64(value[1]), wp.float64(value[2]))
         e = wp.vec3(float(irradiance[0]), float(irradiance[1]), float(irradiance[2])) / float(SAMPLES)
+        if open_sides[side] != 0:
+            e = open_light[side]
         shown = wp.cw_div(film.background[pixel.index], frame.gain)
         for c in range(3):
             value_c = float(0.0)
@@ -203,6 +217,33 @@ def _make_kernels(
         wp.atomic_add(counters, 0, wp.int64(cast))
 
     return identify, reflectance
+
+
+def open_sides(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which sides of flat real surfaces see nothing but the map, their normals, the irradiance there.
+
+    (2 n,) int32, (n, 3) and (2 n, 3) float64, n the number of objects; the side of the normal first.
+    """
+    count = len(scene.objects)
+    normals = np.zeros((count, 3))
+    sides, light = np.zeros(2 * count, np.int32), np.zeros((2 * count, 3))
+    walls = [o for o in scene.real if o.cast_shadow]
+    for number, item in enumerate(scene.objects):
+        plane = plane_of(item.mesh) if item.material.from_photo and item.mesh.normals_are_flat() else None
+        if plane is None:
+            continue
+        normal, offset = plane
+        normals[number] = normal
+        for side, n in enumerate((normal, -normal)):
+            reach = max(
+                (float((w.mesh.vertices @ n).max()) - (n @ normal) * offset for w in walls if w is not item),
+                default=0.0,
+            )
+            size = max(float(np.abs(w.mesh.vertices).max()) for w in (*walls, item))
+            if reach <= 4 * float(np.spacing(np.float32(size))):
+                sides[2 * number + side] = 1
+                light[2 * number + side] = scene.environment.irradiance(n[None])[0]
+    return sides, normals, light
 
 
 def photo_passes(
@@ -217,6 +258,13 @@ def photo_passes(
     light = scene.scene.environment
     identify, reflectance = _make_kernels(
         scene.engine, view.model, distortion, light.interpolation, light.light_sampler
+    )
+
+    sides, normals, lights = open_sides(scene.scene)
+    told: tuple[Any, ...] = (
+        wp.array(sides, dtype=wp.int32, device=outputs.device),
+        wp.array(normals.astype(np.float32), dtype=wp.vec3, device=outputs.device),
+        wp.array(lights.astype(np.float32), dtype=wp.vec3, device=outputs.device),
     )
 
     def inputs(context: PassContext) -> list[Any]:
@@ -245,7 +293,7 @@ def photo_passes(
             f"photo reflectance {view.name}".strip(),
             picture,
             reflectance,
-            inputs,
+            lambda context: [*inputs(context), *told],
             reads=(names[0],),
             writes=(names[1],),
             **usual,

@@ -68,6 +68,14 @@ class Mesh:
         """(m, 3) float64 unit normals of the triangles; 0 for one without area."""
         return _unit(self._face_vectors())
 
+    def normals_are_flat(self) -> bool:
+        """Whether there are no vertex normals, or they are the triangles' own to float32's last digits,
+        on either side."""
+        if self.normals is None:
+            return True
+        facet = self.face_normals()[:, None]
+        return bool(np.all(np.abs((self.normals[self.faces] * facet).sum(axis=2)) > 1.0 - 2.0**-20))
+
     def _face_vectors(self) -> np.ndarray:
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return np.cross(b - a, c - a)
@@ -130,6 +138,24 @@ def _normals_or_up(v: np.ndarray) -> np.ndarray:
     n = _unit(v)
     n[~n.any(axis=1)] = (0.0, 0.0, 1.0)
     return n.astype(np.float32)
+
+
+def plane_of(mesh: Mesh) -> tuple[np.ndarray, float] | None:
+    """Unit normal n and offset c with n . x = c for every vertex, or None where the mesh is not flat.
+
+    Flat within the float32 spacing of its coordinates.
+    """
+    areas = mesh.face_areas()
+    if len(areas) == 0 or areas.max() == 0.0:
+        return None
+    n = mesh.face_normals()[int(np.argmax(areas))]
+    n = n / np.linalg.norm(n)
+    used = mesh.vertices[np.unique(mesh.faces)]
+    offsets = used @ n
+    spacing = np.spacing(np.float32(np.abs(used).max()))
+    if offsets.max() - offsets.min() > 4 * spacing:
+        return None
+    return n, float(offsets.mean())
 
 
 def concatenate(meshes: Sequence[Mesh]) -> Mesh:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mrbatch.film.photo_reflectance import open_sides
 from mrbatch.film.window import Window
 from mrbatch.methods.delta_path_tracing import METHOD
 from mrbatch.methods.delta_path_tracing.cases import (
@@ -150,3 +151,41 @@ def test_a_crop_is_the_crop_also_where_light_comes_from_beyond_it():
     around = Window(-5, -3, WIDTH + 9, HEIGHT + 8)
     wide, _ = changes(objects, sky(), view, photo, spp=4, window=around)
     assert np.array_equal(wide[3 : 3 + HEIGHT, 5 : 5 + WIDTH], whole)
+
+
+@pytest.mark.parametrize("light", [sky(1.0), lamp_sky()], ids=["sky", "lamp"])
+def test_a_lone_table_needs_no_ray_for_its_irradiance(light):
+    """The closed form and the traced one agree: a speck far above makes the second one trace."""
+    table, item = real("table", plane(3.0, 3.0), (0.6, 0.4, 0.2)), room()[3]
+    speck = replace(real("speck", plane(1e-4, 1e-4, centre=(0, 0, 2.0))), camera=False)
+    view = camera()
+    photo = photo_of([table], light, view, spp=1024)
+    closed, alone = changes([from_photo(table), item], light, view, photo)
+    traced, beside = changes([from_photo(table), speck, item], light, view, photo)
+    centres = alone.counters["irradiance rays"]
+    shown = (photo.sum(axis=-1) > 0).sum()
+    assert WIDTH * HEIGHT + 0.9 * shown < centres <= WIDTH * HEIGHT + shown, "two a pixel find the surface"
+    assert beside.counters["irradiance rays"] > 100 * centres
+    shadow = traced.mean(axis=-1) < -0.02
+    assert shadow.sum() > 50
+    assert closed[shadow].mean() == pytest.approx(traced[shadow].mean(), rel=2e-3)
+
+
+def test_which_sides_are_open():
+    photo = Material(from_photo=True)
+    table = from_photo(real("table", plane(3.0, 3.0)))
+    above = real("shelf", plane(1.0, 1.0, centre=(0, 0, 1.0)))
+    turned = replace(table, mesh=replace(table.mesh, faces=np.array([[0, 1, 2], [0, 3, 2]], np.int32)))
+    for objects, expected in (
+        ([table], [1, 1]),
+        ([table, above], [0, 1]),
+        ([table, replace(above, cast_shadow=False)], [1, 1]),
+        ([replace(table, material=Material())], [0, 0]),
+        ([from_photo(real("cube", box((1, 1, 1))))], [0, 0]),
+        ([turned], [1, 1]),
+    ):
+        sides, normals, light = open_sides(scene_of(objects, sky(2.0)))
+        assert list(sides[:2]) == expected
+        if objects[0].material == photo and len(objects[0].mesh.faces) == 2:
+            assert np.allclose(np.abs(normals[0]), [0, 0, 1])
+        assert np.allclose(light[:2][sides[:2] == 1], 2 * np.pi, rtol=1e-6)

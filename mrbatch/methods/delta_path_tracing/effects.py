@@ -6,7 +6,6 @@ import numpy as np
 
 from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.facts import ShotFacts
-from mrbatch.effects.light_bounds import plane_of
 from mrbatch.effects.surface_rules import (
     DISTORTION,
     ENVIRONMENT,
@@ -17,6 +16,7 @@ from mrbatch.effects.surface_rules import (
     absent,
     needed,
 )
+from mrbatch.scene.mesh import plane_of
 from mrbatch.scene.scene import SceneObject
 
 
