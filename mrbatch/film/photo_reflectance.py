@@ -3,8 +3,9 @@
 With it the light change of a real point is L_b dE / E_r (Sato et al.; TRAP-3b of Xu et al.'s
 method): no albedo has to be known, and ink stays ink under a shadow. E_r, the irradiance without
 virtual objects, comes from the environment where no real surface is in the way, from the photo where
-one is that the camera sees, and by further bounces from one that it does not. A flat surface that no other
-rises above has the map's own irradiance, and no ray is traced. A point that the camera does not see takes
+one is that the camera sees, and by further bounces from one that it does not. Of a flat surface the
+irradiance of the open map is known in closed form: no ray is traced where nothing rises above it, and where
+something does, only what that takes away and sends is sampled. A point that the camera does not see takes
 the mean reflectance of its surface.
 
 The whole photo is used, whatever part of it is rendered, so that a crop is the crop of the picture.
@@ -43,6 +44,10 @@ from mrbatch.scene.shading import PhotoReflectance
 SAMPLES = wp.constant(wp.int32(256))
 """Pairs of samples for E_r at a pixel. 1 / E_r of a noisy E_r is too bright by its relative variance:
 stratified, that is below 1e-3 here."""
+FEW = wp.constant(wp.int32(64))
+"""The same for a flat surface, where only the part of E_r that other surfaces change is sampled."""
+OPEN = wp.constant(wp.int32(1))
+SHADED = wp.constant(wp.int32(2))
 BOUNCES = wp.constant(wp.int32(8))
 """Longest path over surfaces that the camera does not see."""
 DIMENSION = wp.constant(wp.int32(1 << 20))
@@ -154,7 +159,11 @@ def _make_kernels(
         irradiance = wp.vec3d()
         cast = int(1)
         count = int(SAMPLES)
-        if open_sides[side] != 0:
+        # Where the open map's light is known, what is estimated is the change by real surfaces.
+        known = open_sides[side] != 0
+        if open_sides[side] == SHADED:
+            count = int(FEW)
+        if open_sides[side] == OPEN:
             count = 0
         for n in range(count):
             value = wp.vec3(0.0, 0.0, 0.0)
@@ -168,8 +177,12 @@ def _make_kernels(
                 if light.pdf > 0.0 and cosine > 0.0 and wp.dot(here.ng, light.direction) > 0.0:
                     o = offset_origin(here.p, here.ng, light.direction, here.reach)
                     cast += 1
-                    if not occluded(scene.real_set, o, light.direction, FAR):
+                    lost = occluded(scene.real_set, o, light.direction, FAR)
+                    change = known and bounce == 0
+                    if lost == change:
                         w = cosine * balance_heuristic(light.pdf, cosine * _INV_PI) / light.pdf
+                        if change:
+                            w = -w
                         value += wp.cw_mul(throughput, env_radiance(scene.environment, light.direction)) * w
                 local = cosine_hemisphere(sample_2d(key, n, dimension + 1))
                 d = to_world(basis, local)
@@ -178,9 +191,13 @@ def _make_kernels(
                 o = offset_origin(here.p, here.ng, d, here.reach)
                 cast += 1
                 seen = trace(scene.real_set, o, d, FAR)
-                if seen.triangle < 0:
+                change = known and bounce == 0
+                if (seen.triangle < 0) != change:
                     w = _PI * balance_heuristic(local[2] * _INV_PI, env_pdf(scene.environment, d))
+                    if change:
+                        w = -w
                     value += wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
+                if seen.triangle < 0:
                     break
                 here = surface_point(scene, seen.triangle, seen.u, seen.v, d)
                 at = camera_project(frame.camera, here.p)
@@ -204,9 +221,11 @@ def _make_kernels(
                 throughput = wp.cw_mul(throughput, scene.objects[here.object].reflectance)
                 basis = orthonormal_basis(here.ns)
             irradiance += wp.vec3d(wp.float64(value[0]), wp.float64(value[1]), wp.float64(value[2]))
-        e = wp.vec3(float(irradiance[0]), float(irradiance[1]), float(irradiance[2])) / float(SAMPLES)
-        if open_sides[side] != 0:
-            e = open_light[side]
+        e = wp.vec3(float(irradiance[0]), float(irradiance[1]), float(irradiance[2])) / float(
+            wp.max(count, 1)
+        )
+        if known:
+            e += open_light[side]
         shown = wp.cw_div(film.background[pixel.index], frame.gain)
         for c in range(3):
             value_c = float(0.0)
@@ -220,9 +239,10 @@ def _make_kernels(
 
 
 def open_sides(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which sides of flat real surfaces see nothing but the map, their normals, the irradiance there.
+    """What the sides of flat real surfaces see, their normals, the irradiance of the open map there.
 
-    (2 n,) int32, (n, 3) and (2 n, 3) float64, n the number of objects; the side of the normal first.
+    (2 n,) int32: OPEN, nothing but the map; SHADED, other real surfaces too; 0, not flat. (n, 3) and
+    (2 n, 3) float64, n the number of objects; the side of the normal first.
     """
     count = len(scene.objects)
     normals = np.zeros((count, 3))
@@ -240,9 +260,9 @@ def open_sides(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
                 default=0.0,
             )
             size = max(float(np.abs(w.mesh.vertices).max()) for w in (*walls, item))
-            if reach <= 4 * float(np.spacing(np.float32(size))):
-                sides[2 * number + side] = 1
-                light[2 * number + side] = scene.environment.irradiance(n[None])[0]
+            sees_none = reach <= 4 * float(np.spacing(np.float32(size)))
+            sides[2 * number + side] = int(OPEN) if sees_none else int(SHADED)
+            light[2 * number + side] = scene.environment.irradiance(n[None])[0]
     return sides, normals, light
 
 

@@ -155,13 +155,15 @@ def test_a_crop_is_the_crop_also_where_light_comes_from_beyond_it():
 
 @pytest.mark.parametrize("light", [sky(1.0), lamp_sky()], ids=["sky", "lamp"])
 def test_a_lone_table_needs_no_ray_for_its_irradiance(light):
-    """The closed form and the traced one agree: a speck far above makes the second one trace."""
+    """The closed form and the traced one agree: a table that is not quite flat has no closed form."""
     table, item = real("table", plane(3.0, 3.0), (0.6, 0.4, 0.2)), room()[3]
-    speck = replace(real("speck", plane(1e-4, 1e-4, centre=(0, 0, 2.0))), camera=False)
+    vertices = table.mesh.vertices.copy()
+    vertices[0, 2] -= 1e-5
+    bent = replace(table, mesh=replace(table.mesh, vertices=vertices, normals=None))
     view = camera()
     photo = photo_of([table], light, view, spp=1024)
     closed, alone = changes([from_photo(table), item], light, view, photo)
-    traced, beside = changes([from_photo(table), speck, item], light, view, photo)
+    traced, beside = changes([from_photo(bent), item], light, view, photo)
     centres = alone.counters["irradiance rays"]
     shown = (photo.sum(axis=-1) > 0).sum()
     assert WIDTH * HEIGHT + 0.9 * shown < centres <= WIDTH * HEIGHT + shown, "two a pixel find the surface"
@@ -178,7 +180,7 @@ def test_which_sides_are_open():
     turned = replace(table, mesh=replace(table.mesh, faces=np.array([[0, 1, 2], [0, 3, 2]], np.int32)))
     for objects, expected in (
         ([table], [1, 1]),
-        ([table, above], [0, 1]),
+        ([table, above], [2, 1]),
         ([table, replace(above, cast_shadow=False)], [1, 1]),
         ([replace(table, material=Material())], [0, 0]),
         ([from_photo(real("cube", box((1, 1, 1))))], [0, 0]),
@@ -188,4 +190,4 @@ def test_which_sides_are_open():
         assert list(sides[:2]) == expected
         if objects[0].material == photo and len(objects[0].mesh.faces) == 2:
             assert np.allclose(np.abs(normals[0]), [0, 0, 1])
-        assert np.allclose(light[:2][sides[:2] == 1], 2 * np.pi, rtol=1e-6)
+        assert np.allclose(light[:2][sides[:2] > 0], 2 * np.pi, rtol=1e-6)
