@@ -17,6 +17,7 @@ from mrbatch.batch.prepare import Prepared, first_cameras, frame_facts
 from mrbatch.device.runner import Runner
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import InputError
+from mrbatch.film.accumulator import A, D, Developed, P
 from mrbatch.film.composite import Contribution, behind_matte, composite, over
 from mrbatch.film.cryptomatte import name_id
 from mrbatch.film.exr import FrameImage, ViewImage, write_frame
@@ -26,7 +27,7 @@ from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
 from mrbatch.film.rendering import FrameRenderer, Source
 from mrbatch.film.window import Window
 from mrbatch.job.resolve import pixel_relevant
-from mrbatch.metrics.noise import Noise, noise_map, noise_of, relative_square
+from mrbatch.metrics.noise import Noise, noise_between, noise_map, noise_of, relative_square
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.scene_data import upload
 
@@ -198,7 +199,8 @@ class ShotRenderer:
             "error_estimate": {
                 "relMSE": {name: found.relmse for name, found in noise.items()},
                 "interval": {name: found.interval for name, found in noise.items()},
-                "of": "noise, where something virtual changes the picture; 95 % interval, from 16x16 tiles",
+                "of": "noise, where something virtual changes the picture, from two halves of the samples; "
+                "95 % interval, from 16x16 tiles",
             },
             "versions": self._versions,
             "flags": list(data.flags),
@@ -241,7 +243,7 @@ class ShotRenderer:
     def _estimates(
         self, view: ViewOutput, given: ViewInput, matte: np.ndarray | None, rendered: Any
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-        """Host arrays by `layers.ESTIMATES`; relative variance (h, w); which pixels changed (h, w) bool."""
+        """Host arrays by `layers.ESTIMATES`; relative squared noise (h, w); which pixels changed (h, w)."""
         sources = rendered.estimates[view.name]
         developed = sources["method"]
         laid = Contribution(developed.P, developed.a, developed.D, developed.indirect)
@@ -269,7 +271,25 @@ class ShotRenderer:
         estimates.update(data if matte is None else data_behind_matte(data, matte))
         picture = composite(laid.P, laid.a, given.background, laid.D)
         changed = (laid.a > 0) | np.any(laid.D != 0, axis=-1)
-        return estimates, relative_square(picture, variance, changed), changed
+        a, b = (self._half(half, given, matte, sources) for half in (0, 1))
+        return estimates, relative_square(picture, noise_between(a, b), changed), changed
+
+    @staticmethod
+    def _half(
+        half: int, given: ViewInput, matte: np.ndarray | None, sources: Mapping[str, Developed]
+    ) -> np.ndarray:
+        """The composite (h, w, 3) of one half of the samples."""
+
+        def part(developed: Developed) -> Contribution:
+            mean = developed.halves[half]
+            return Contribution(mean[..., P : P + 3], mean[..., A], mean[..., D : D + 3])
+
+        laid = part(sources["method"])
+        for name, other in sources.items():
+            if name != "method":
+                laid = over(part(other), laid)
+        laid = behind_matte(laid, matte)
+        return composite(laid.P, laid.a, given.background, laid.D)
 
     def _cryptomatte_attributes(self) -> dict[str, str]:
         from mrbatch.film import cryptomatte

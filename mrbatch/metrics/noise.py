@@ -1,8 +1,10 @@
-"""The noise that is left in a picture without a reference: from the variance of its pixels' means.
+"""The noise that is left in a picture without a reference: from the difference of its two halves.
 
-The estimate is the relMSE of `errors.py` with the variance in place of the squared error and the picture in
-place of the reference, over the pixels that changed. Its square root is an amplitude: 0.02 says that a
-pixel is off by 2 % of its own brightness (root mean square).
+Both halves of a picture's samples have their own random numbers, so a quarter of their squared difference
+is an unbiased estimate of the variance of their mean, however evenly the samples of each half are spread
+(their own scatter would overstate it). The estimate is the relMSE of `errors.py` with that variance in
+place of the squared error and the picture in place of the reference, over the pixels that changed. Its
+square root is an amplitude: 0.02 says that a pixel is off by 2 % of its own brightness (root mean square).
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from mrbatch.metrics.tiles import tile_sums
 CONFIDENCE = 0.95
 _Z = 1.959964
 MAX_BLOCKS = 4096
+"""Blocks are 4 x 4 pixels or larger: the noise of a single pixel tells nothing of it."""
 LOWEST, HIGHEST, LEVELS = 1e-3, 1.0, 63
 """A map's codes: 0 is unchanged, 1 to 63 are amplitudes from 0.1 % to 100 % in equal ratios."""
 
@@ -74,6 +77,12 @@ def unpack_codes(columns: int, rows: int, packed: str) -> np.ndarray:
     return np.minimum(np.frombuffer(data, np.uint8).reshape(rows, columns), LEVELS)
 
 
+def noise_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The variance of the mean of two independent halves: a quarter of their squared difference."""
+    difference = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
+    return 0.25 * difference**2
+
+
 def relative_square(picture: np.ndarray, variance: np.ndarray, changed: np.ndarray) -> np.ndarray:
     """(h, w) float64: variance over (C^2 + 0.01 mean C^2), channels averaged; 0 where nothing changed.
 
@@ -111,7 +120,7 @@ def noise_of(relative: np.ndarray, changed: np.ndarray, origin: tuple[int, int] 
 def noise_map(relative: np.ndarray, changed: np.ndarray, most: int = MAX_BLOCKS) -> NoiseMap:
     """The amplitude (rms of changed pixels), by the smallest blocks that are `most` or fewer."""
     height, width = changed.shape
-    block = 1
+    block = 4
     while -(-height // block) * -(-width // block) > most:
         block *= 2
     rows, columns = np.arange(0, height, block), np.arange(0, width, block)

@@ -55,7 +55,7 @@ class Quality:
 
 
 def quality_of(report: Report) -> Quality | None:
-    """None where no frame has an estimate. Noise falls with the root of the samples."""
+    """None where no frame has an estimate. Noise falls at least with the root of the samples."""
     known = [(a, f) for f in report.frames if (a := amplitude(f.error)) is not None]
     if not known:
         return None

@@ -12,6 +12,7 @@ from mrbatch.metrics.noise import (
     LEVELS,
     MAX_BLOCKS,
     NoiseMap,
+    noise_between,
     noise_map,
     noise_of,
     relative_square,
@@ -97,3 +98,11 @@ def test_damaged_maps_are_refused(codes):
         unpack_codes(4, 4, codes)
     with pytest.raises(ValueError, match="map"):
         unpack_codes(10**6, 10**6, codes)
+
+
+def test_halves_tell_the_variance_of_their_mean():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(2.0, 0.5, (2, 200, 300, 3))
+    expected = 0.5**2 / 2
+    # 180,000 values of a chi-square law with one degree of freedom: 4 standard deviations.
+    assert noise_between(a, b).mean() == pytest.approx(expected, rel=4 * math.sqrt(2 / a.size))

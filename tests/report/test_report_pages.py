@@ -274,11 +274,11 @@ def test_the_noise_is_said_in_words_with_interval_and_samples():
     for words in (
         "10 % noise left: visible grain, good enough to judge light and placement",
         "over the pixels that virtual objects change",
-        "the 48 samples a pixel",
+        "two independent halves of the 48 samples a pixel differ",
         "10 % [5, 20] (n = 48)",
         "worst, frame 2 30 % [15, 60] (n = 48)",
         # (10 % / 2 %)^2 = 25 times the samples
-        "about 1,200 samples a pixel and 25 times the time",
+        "up to 1,200 samples a pixel and 25 times the time",
     ):
         assert words in text, words
     assert "noise left: 10 % \\[5, 20\\] (n = 48), visible grain" in render_markdown(report)
