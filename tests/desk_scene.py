@@ -24,7 +24,8 @@ from mrbatch.metrics.region import noise_deviation, noisy_region_of_interest
 from mrbatch.metrics.statistics import TileTest, tile_z_test
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.environment import load_environment
-from mrbatch.scene.mesh import load_mesh, plane
+from mrbatch.scene.mesh import plane
+from mrbatch.scene.mesh_file import load_mesh
 from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
 
 SETS = ("mitsuba_desk_window", "mitsuba_desk_lamps")

@@ -28,7 +28,8 @@ from mrbatch.capture.marker_video.settings import MatteSettings
 from mrbatch.errors import InputError, MrbatchError
 from mrbatch.scene.build import _texture
 from mrbatch.scene.environment import load_environment
-from mrbatch.scene.mesh import icosphere, load_mesh
+from mrbatch.scene.mesh import icosphere
+from mrbatch.scene.mesh_file import load_mesh
 
 K = [[500.25, 0.0, 321.5], [0.0, 501.75, 239.0], [0.0, 0.0, 1.0]]
 

@@ -16,7 +16,8 @@ from mrbatch.scene.environment import Environment, load_environment
 from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
 from mrbatch.scene.gltf_header import further_files
 from mrbatch.scene.gltf_material import material_from_gltf
-from mrbatch.scene.mesh import Mesh, Part, box, concatenate, icosphere, load_mesh, load_parts, plane
+from mrbatch.scene.mesh import Mesh, box, concatenate, icosphere, plane
+from mrbatch.scene.mesh_file import Part, load_mesh, load_parts
 from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
 from mrbatch.scene.stored_picture import check_finite, colour_channels, primaries_of, read_stored
 

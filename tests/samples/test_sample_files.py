@@ -93,7 +93,7 @@ def test_script_makes_what_is_stored(tmp_path):
 
 @pytest.mark.parametrize("name, height_mm", [("bunny", 117.7), ("mug", 92.0)])
 def test_figures_stand_on_the_ground_and_face_outward(name, height_mm):
-    from mrbatch.scene.mesh import load_mesh
+    from mrbatch.scene.mesh_file import load_mesh
 
     mesh = load_mesh(SAMPLE / f"{name}.ply")
     low, high = mesh.bounds()

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mrbatch.errors import InputError
-from mrbatch.scene.mesh import Mesh, box, concatenate, icosphere, load_mesh, plane, uv_sphere
+from mrbatch.scene.mesh import Mesh, box, concatenate, icosphere, plane, uv_sphere
+from mrbatch.scene.mesh_file import load_mesh
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float64)
 
