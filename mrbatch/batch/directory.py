@@ -92,8 +92,15 @@ def check_holder(directory: Path, facts: Mapping[str, Any]) -> None:
     Raises JobError.
     """
     held = held_record(directory)
-    if held and (found := differences(held, facts)):
+    if held and (found := _differences(held, facts)):
         raise _another_job(directory, held["job_hash"], "", found)
+
+
+def _differences(held: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
+    try:
+        return differences(held, facts)
+    except (TypeError, ValueError):
+        return []  # a damaged job.json: its hash alone decides
 
 
 def check_strangers(targets: Iterable[Path]) -> None:
@@ -144,7 +151,7 @@ def hold(
     if not overwrite:
         if held or known - {job_hash}:
             other = held or sorted(known - {job_hash})[0]
-            found = differences(record or {}, facts) if held else []
+            found = _differences(record or {}, facts) if held else []
             raise _another_job(directory, other, job_hash, found)
         if held is None and job_hash not in known:
             check_strangers(targets)

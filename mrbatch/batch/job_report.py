@@ -26,7 +26,15 @@ from mrbatch.batch.shot_facts import shot_facts, told_by_capture
 from mrbatch.contracts import Told
 from mrbatch.device.runner import usable_cores
 from mrbatch.device.timing import TimingNode, timing_from_dict
-from mrbatch.errors import EXIT_FRAMES, EXIT_INPUT, EXIT_INTERRUPTED, JobError, worst_exit_code
+from mrbatch.errors import (
+    EXIT_FRAMES,
+    EXIT_INPUT,
+    EXIT_INTERRUPTED,
+    InputError,
+    JobError,
+    Place,
+    worst_exit_code,
+)
 from mrbatch.methods.registry import method as find_method
 from mrbatch.methods.registry import participant as find_participant
 from mrbatch.metrics.noise import CONFIDENCE
@@ -108,8 +116,19 @@ def report_of(
     """The report of the job that holds the folder.
 
     None where no job does, another one than `job_hash`, or one of an older version that did not write down
-    what it was made of. Raises ResourceError.
+    what it was made of. Raises ResourceError, InputError where the folder's records are damaged.
     """
+    try:
+        return _report_of(directory, job_hash, distrusted)
+    except (ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
+        raise InputError(
+            f"the job's records are damaged ({type(error).__name__})",
+            place=Place(file=str(directory)),
+            hint="render into another folder, or take away job.json, journal/ and shot/ here",
+        ) from error
+
+
+def _report_of(directory: Path, job_hash: str | None, distrusted: Collection[int]) -> Report | None:
     record = held_record(directory)
     if not record or "settings" not in record or job_hash not in (None, record["job_hash"]):
         return None

@@ -11,13 +11,16 @@ seed and input alone.
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+from pydantic import TypeAdapter
 
 from mrbatch.batch.commit import as_resource_error, flush_folder
 from mrbatch.batch.presence import Owner
@@ -197,46 +200,22 @@ class JournalReader:
         if not line.strip():
             return
         try:
-            record = json.loads(line)
-            kind = record.pop("kind")
-            if kind == "frame":
-                entry = _frame_entry(record)
-                self.frames.setdefault(entry.frame, []).append(entry)
-            elif kind == "failed":
-                failure = FailureEntry(**_only(FailureEntry, record))
-                self.failures.setdefault(failure.frame, []).append(failure)
-            elif kind == "run":
-                self.runs.append(_run_entry(record))
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            kind = json.loads(line)["kind"]
+            if kind not in _KINDS.values():
+                return  # of a newer version
+            # Fields that this version does not know are left out; one of another type costs the line.
+            entry = _reader(kind).validate_json(line, strict=True)
+        except (ValueError, TypeError, KeyError, RecursionError):
             self.torn[name] = self.torn.get(name, 0) + 1
+            return
+        if isinstance(entry, FrameEntry):
+            self.frames.setdefault(entry.frame, []).append(entry)
+        elif isinstance(entry, FailureEntry):
+            self.failures.setdefault(entry.frame, []).append(entry)
+        else:
+            self.runs.append(entry)
 
 
-def _frame_entry(record: dict[str, Any]) -> FrameEntry:
-    """Raises TypeError where a field is missing or of another type: the line then counts as torn."""
-    entry = FrameEntry(**_only(FrameEntry, record))
-    texts = (entry.job_hash, entry.file, entry.file_hash, entry.history_hash)
-    if type(entry.frame) is not int or not all(isinstance(text, str) for text in texts):
-        raise TypeError("not a frame entry")
-    if not isinstance(entry.counters, dict) or not isinstance(entry.details, dict):
-        raise TypeError("not a frame entry")
-    return entry
-
-
-def _run_entry(record: dict[str, Any]) -> RunEntry:
-    """Raises TypeError or ValueError where a field is missing or of another type."""
-    entry = RunEntry(**_only(RunEntry, record))
-    tables = (entry.timing, entry.machine, entry.versions)
-    if not isinstance(entry.job_hash, str) or not all(isinstance(table, dict) for table in tables):
-        raise TypeError("not a run entry")
-    return replace(
-        entry,
-        seconds=float(entry.seconds),
-        undone=tuple(int(frame) for frame in entry.undone),
-        notes=tuple(str(note) for note in entry.notes),
-    )
-
-
-def _only(kind: type, record: dict[str, Any]) -> dict[str, Any]:
-    """The fields that this version knows; a newer version may write more."""
-    known = kind.__dataclass_fields__  # type: ignore[attr-defined]
-    return {name: value for name, value in record.items() if name in known}
+@functools.cache
+def _reader(kind: str) -> TypeAdapter[Entry]:
+    return TypeAdapter(next(entry for entry, name in _KINDS.items() if name == kind))

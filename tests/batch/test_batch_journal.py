@@ -8,7 +8,7 @@ import os
 
 import pytest
 
-from mrbatch.batch.journal import FailureEntry, FrameEntry, JournalReader, JournalWriter
+from mrbatch.batch.journal import FailureEntry, FrameEntry, JournalReader, JournalWriter, RunEntry
 from mrbatch.batch.presence import Owner
 from mrbatch.errors import ResourceError
 
@@ -81,6 +81,8 @@ def test_a_torn_last_line_is_passed_over_and_counted(tmp_path, cut):
         b'{"kind":"frame"}\n',
         b'{"kind":"frame","frame":"1","job_hash":"job","file":"a","file_hash":"h","content_hash":"c","size":1,"seconds":1}\n',
         b"[" * 100_000 + b"\n",
+        b'{"kind":"run","job_hash":"job","seconds":"long"}\n',
+        b'{"kind":"failed","job_hash":"job","frame":1,"error":7}\n',
     ],
 )
 def test_garbage_is_passed_over_and_what_follows_is_read(tmp_path, garbage):
@@ -92,6 +94,21 @@ def test_garbage_is_passed_over_and_what_follows_is_read(tmp_path, garbage):
     reader = JournalReader(tmp_path)
     assert sorted(reader.frames) == [1]
     assert reader.torn_lines() == 1
+
+
+def test_a_run_says_how_it_ended(tmp_path):
+    """In the same file as its frames, after them, also by a writer of its own."""
+    owner = Owner.here()
+    told = RunEntry("job", 2.5, rendered=1, undone=(2, 3), why="the run was interrupted", exit_code=130)
+    for one in (entry(1), told):
+        writer = JournalWriter(tmp_path, owner)
+        writer.append(one)
+        writer.close()
+    reader = JournalReader(tmp_path)
+    assert len(list((tmp_path / "journal").iterdir())) == 1 and reader.torn_lines() == 0
+    (found,) = reader.runs
+    assert (found.seconds, found.undone, found.run) == (2.5, (2, 3), owner.name)
+    assert found.run == reader.frames[1][0].run and found.time > 0
 
 
 def test_fields_of_a_newer_version_do_no_harm(tmp_path):

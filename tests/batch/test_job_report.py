@@ -131,6 +131,29 @@ def test_the_command_draws_what_runs_without_report_left(tmp_path):
     assert report.plan.effects and all(effect.meaning for effect in report.plan.effects)
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"settings": 7},
+        {"settings": []},
+        {"inputs": 3},
+        {"inputs": [1]},
+        {"layers": 4},
+        {"seed": "x"},
+        {"key": []},
+    ],
+)
+def test_damaged_records_are_an_input_error_or_passed_over(tmp_path, damage):
+    path = write_job(tmp_path, (0,))
+    render(path)
+    record = json.loads((tmp_path / "out" / "job.json").read_text())
+    (tmp_path / "out" / "job.json").write_text(json.dumps(record | damage))
+    result = CliRunner().invoke(cli.main, ["report", str(tmp_path / "out")])
+    assert result.exit_code in (0, 3), result.output
+    again = CliRunner().invoke(cli.main, ["render", str(path), "--progress", "none", "--seed", "5"])
+    assert again.exit_code == 2 and "another job" in again.stderr
+
+
 # --- what failed -------------------------------------------------------------------------------------
 
 
