@@ -19,13 +19,18 @@ from mrbatch.report.pictures import (
     magnitude_picture,
     map_scale,
     noise_picture,
+    read_layers,
     read_picture,
+    reduced,
     signed_picture,
 )
 
 MAX_FRAMES_SHOWN = 24
 MAX_PICTURE_BYTES = 4_000_000
 """What all embedded pictures may take (base64 included): the page still fits into a mail."""
+WIDTH = 720
+WIDE = ("sheet", "plot")
+"""Columns of an embedded picture, and the roles of pictures that have twice as many."""
 ROLE_ORDER = (
     "sheet", "plot", "composite", "reference", "photo", "delta", "difference", "flip", "error", "other",
 )  # fmt: skip
@@ -142,9 +147,17 @@ class _Painter:
     folder: Path | None
     images: Mapping[str, np.ndarray]
     scales: dict[tuple[str, str], float] = field(default_factory=dict)
+    layers: dict[str, list[str]] = field(default_factory=dict)
+    """By path what is shown of a file in the group that is being drawn."""
+    read: dict[str, dict[str, LinearPicture]] = field(default_factory=dict)
 
     def group(self, frame: int | None, chosen: Sequence[Picture], left: int) -> Group:
         shown = []
+        self.layers = {}
+        for picture in chosen:
+            wanted = self.layers.setdefault(picture.path, [])
+            wanted += [] if picture.layer in wanted else [picture.layer]
+        self.read = {}
         for picture in chosen:
             one = self.shown(picture, left)
             left -= len(one.uri)
@@ -172,20 +185,23 @@ class _Painter:
                 return result(why=error.message)
             except _NotShown as error:
                 return result(why=str(error))
-        wide = picture.role in ("sheet", "plot")
-        uri = data_uri(codes, width=1440 if wide else 720, max_bytes=900_000 if wide else 300_000)
+        wide = picture.role in WIDE
+        uri = data_uri(codes, width=2 * WIDTH if wide else WIDTH, max_bytes=900_000 if wide else 300_000)
         return result(uri, "", legend) if len(uri) <= left else result(why="left out, the page is full")
 
     def _drawn(self, picture: Picture) -> tuple[np.ndarray, Legend | None]:
         """A file's values as a person wants to see them, uint8 RGB: by the role that it plays on the page."""
-        values = self._read(picture).values
+        whole = self._read(picture).values
+        # Reduced before it is drawn: a page shows no more, and drawing takes longer than reading.
+        values = whole if picture.role in WIDE else reduced(whole, WIDTH)
         if picture.noise is not None:
             about = picture.noise
             try:
                 codes = unpack_codes(about.columns, about.rows, about.codes)
             except ValueError as error:
                 raise _NotShown(str(error)) from error
-            drawn = noise_picture(codes, about.block, display_codes(values))
+            block = about.block * values.shape[1] / whole.shape[1]
+            drawn = noise_picture(codes, block, display_codes(values))
             return drawn, Legend(kind="magma", ticks=("0.1 %", "1 %", "10 %", "100 %"))
         if picture.role in ("delta", "difference"):
             scale = self._scale(picture, values)
@@ -206,7 +222,10 @@ class _Painter:
         path = (root / picture.path).resolve()
         if not path.is_relative_to(root):
             raise _NotShown("lies outside the report's folder")
-        return read_picture(path, picture.layer)
+        if picture.path not in self.read:
+            self.read[picture.path] = read_layers(path, self.layers.get(picture.path, [picture.layer]))
+        found = self.read[picture.path].get(picture.layer)
+        return found if found is not None else read_picture(path, picture.layer)  # says what is missing
 
 
 class _NotShown(Exception):

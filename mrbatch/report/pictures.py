@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import base64
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +22,9 @@ from mrbatch.scene.file_kind import PICTURES, unreadable
 
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pfm")
 MAX_VALUES = 1 << 28
-"""Most values (width x height x channels) that a picture may announce: 1 GiB of float32."""
+"""Most values (width x height x channels) that are read of a picture: 1 GiB of float32."""
+MAX_TOGETHER = 1 << 26
+"""Layers whose channels, and those between them, are more values than that are read one by one."""
 
 
 @dataclass(frozen=True)
@@ -53,51 +57,106 @@ def read_picture(path: Path, layer: str = "", *, max_values: int = MAX_VALUES) -
 
     Raises InputError where the file is missing, broken, larger than `max_values`, or lacks the layer.
     """
+    found, known = _read_layers(path, (layer,), max_values)
+    if layer not in found:
+        raise InputError(
+            f"the picture has no layer `{layer or 'RGB'}`",
+            place=Place(file=str(path)),
+            hint=f"its channels are {', '.join(known[:24])}",
+        )
+    return found[layer]
+
+
+def read_layers(
+    path: Path, layers: Sequence[str], *, max_values: int = MAX_VALUES
+) -> dict[str, LinearPicture]:
+    """Several layers, as `read_picture` reads one; those that the file lacks are left out.
+
+    A file is decoded once where what is wanted of it lies close together.
+    """
+    return _read_layers(path, layers, max_values)[0]
+
+
+def _read_layers(
+    path: Path, layers: Sequence[str], max_values: int
+) -> tuple[dict[str, LinearPicture], list[str]]:
+    """The layers that are there, and the names of all channels that were looked at."""
     import OpenImageIO as oiio
 
-    place = Place(file=str(path))
     if not Path(path).is_file():
+        place = Place(file=str(path))
         raise InputError("there is no such picture", place=place, hint="check the name and the folder")
     source = oiio.ImageInput.open(os.fspath(path))
     if source is None:
         oiio.geterror()
         raise unreadable(path, "a picture", PICTURES)
+    found: dict[str, LinearPicture] = {}
+    known: list[str] = []
     try:
-        part, known = 0, []
-        while source.seek_subimage(part, 0):
+        part = 0
+        while len(found) < len(set(layers)) and source.seek_subimage(part, 0):
             spec = source.spec()
-            if spec.width <= 0 or spec.height <= 0 or spec.width * spec.height * spec.nchannels > max_values:
-                raise InputError(
-                    f"the picture announces {spec.width}x{spec.height} pixels of {spec.nchannels} channels",
-                    place=place,
-                    hint=f"at most {max_values} values are read",
-                )
-            chosen = _channels_of(list(spec.channelnames), layer)
-            if chosen:
-                break
-            known += [str(name) for name in spec.channelnames]
+            names = [str(name) for name in spec.channelnames]
+            known += names
+            chosen = {layer: _channels_of(names, layer) for layer in layers if layer not in found}
+            chosen = {layer: indices for layer, indices in chosen.items() if indices}
+            for together in _reads(chosen, spec.width * spec.height):
+                found.update(_read_channels(source, part, spec, together, path, max_values))
             part += 1
-        else:
-            raise InputError(
-                f"the picture has no layer `{layer or 'RGB'}`",
-                place=place,
-                hint=f"its channels are {', '.join(known[:24])}",
-            )
-        integers = {"uint8": 8, "uint16": 16}.get(str(spec.format), 0)
-        wanted = (oiio.UINT8 if integers == 8 else oiio.UINT16) if integers else oiio.FLOAT
-        first, last = min(chosen), max(chosen) + 1
-        values = source.read_image(part, 0, first, last, wanted)
-        if values is None:
-            source.geterror()
-            raise unreadable(path, "a picture", PICTURES)
-        values = np.asarray(values).reshape(spec.height, spec.width, last - first)
-        values = values[:, :, [i - first for i in chosen]]
+        source.geterror()  # seeking past the last part leaves a message
     finally:
         source.close()
-    linear = to_linear(values, "srgb", integers) if integers else values.astype(np.float32)
-    return LinearPicture(
-        linear, (spec.x - spec.full_x, spec.y - spec.full_y), (spec.full_width, spec.full_height)
-    )
+    return found, known
+
+
+def _reads(chosen: Mapping[str, Sequence[int]], pixels: int) -> list[dict[str, Sequence[int]]]:
+    """Layers that are read together: all, or each by itself where that would take much memory."""
+    every = [i for indices in chosen.values() for i in indices]
+    if every and pixels * (max(every) - min(every) + 1) <= MAX_TOGETHER:
+        return [dict(chosen)]
+    return [{layer: indices} for layer, indices in chosen.items()]
+
+
+def _read_channels(
+    source: Any, part: int, spec: Any, chosen: Mapping[str, Sequence[int]], path: Path, max_values: int
+) -> dict[str, LinearPicture]:
+    """Layers by the indices of their channels, with one look at the file."""
+    import OpenImageIO as oiio
+
+    every = [i for indices in chosen.values() for i in indices]
+    first, last = min(every), max(every) + 1
+    if spec.width <= 0 or spec.height <= 0 or spec.width * spec.height * (last - first) > max_values:
+        raise InputError(
+            f"the picture announces {spec.width}x{spec.height} pixels of {spec.nchannels} channels",
+            place=Place(file=str(path)),
+            hint=f"at most {max_values} values are read",
+        )
+    integers = {"uint8": 8, "uint16": 16}.get(str(spec.format), 0)
+    wanted = (oiio.UINT8 if integers == 8 else oiio.UINT16) if integers else oiio.FLOAT
+    values = source.read_image(part, 0, first, last, wanted)
+    if values is None:
+        source.geterror()
+        raise unreadable(path, "a picture", PICTURES)
+    values = np.asarray(values).reshape(spec.height, spec.width, last - first)
+    origin, full = (spec.x - spec.full_x, spec.y - spec.full_y), (spec.full_width, spec.full_height)
+    found = {}
+    for layer, indices in chosen.items():
+        own = values[:, :, [i - first for i in indices]]
+        linear = to_linear(own, "srgb", integers) if integers else own.astype(np.float32)
+        found[layer] = LinearPicture(linear, origin, full)
+    return found
+
+
+def reduced(values: np.ndarray, width: int) -> np.ndarray:
+    """(height, width, channels) linear values, by area averages to at most `width` columns."""
+    import cv2
+
+    rows, columns = values.shape[:2]
+    if columns <= width:
+        return values
+    size = (width, max(1, round(rows * width / columns)))
+    small = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA))
+    return small[..., None] if small.ndim == 2 else small
 
 
 def _channels_of(names: list[str], layer: str) -> list[int]:
@@ -163,7 +222,7 @@ def signed_picture(values: np.ndarray, high: float) -> np.ndarray:
     )
 
 
-def noise_picture(codes: np.ndarray, block: int, backdrop: np.ndarray) -> np.ndarray:
+def noise_picture(codes: np.ndarray, block: float, backdrop: np.ndarray) -> np.ndarray:
     """A map of noise (see `mrbatch.metrics.noise.NoiseMap`) over a dark grey picture, uint8 RGB.
 
     `codes` (rows, columns): one a block of `block` x `block` pixels; 0 shows the `backdrop` (height, width,
@@ -175,7 +234,8 @@ def noise_picture(codes: np.ndarray, block: int, backdrop: np.ndarray) -> np.nda
     grey = (backdrop.astype(np.float64) @ [0.2126, 0.7152, 0.0722])[..., None].repeat(3, axis=2)
     there = (codes > 0).astype(np.float64)
     level = there * (codes.astype(np.float64) - 1.0) / (LEVELS - 1)
-    size = (codes.shape[1] * block, codes.shape[0] * block)
+    # A block is no whole number of pixels where the backdrop was reduced.
+    size = (max(width, round(codes.shape[1] * block)), max(height, round(codes.shape[0] * block)))
     # Between blocks that have a level, in between; a block without one takes no part.
     weight, summed = (
         np.asarray(cv2.resize(a, size, interpolation=cv2.INTER_LINEAR), dtype=np.float64)[:height, :width]

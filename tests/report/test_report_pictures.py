@@ -8,6 +8,7 @@ import pytest
 
 from mrbatch.errors import InputError
 from mrbatch.metrics.noise import LEVELS
+from mrbatch.report import pictures
 from mrbatch.report.pictures import (
     data_uri,
     display_codes,
@@ -46,6 +47,32 @@ def test_exr_layers_and_windows(tmp_path):
     with pytest.raises(InputError, match="no layer `virtual`") as caught:
         read_picture(path, "virtual")
     assert "delta.R" in str(caught.value)
+
+
+def test_several_layers_are_read_at_once(tmp_path, monkeypatch):
+    values = np.random.default_rng(2).random((6, 8, 8)).astype(np.float32)
+    names = ("R", "G", "B", "A", "delta.R", "delta.G", "delta.B", "depth.Z")
+    path = write(tmp_path / "a.exr", values, names)
+    for together in (pictures.MAX_TOGETHER, 0):
+        monkeypatch.setattr(pictures, "MAX_TOGETHER", together)
+        found = pictures.read_layers(path, ["", "delta", "depth", "virtual"])
+        assert set(found) == {"", "delta", "depth"}
+        for layer, picture in found.items():
+            np.testing.assert_array_equal(picture.values, read_picture(path, layer).values)
+
+
+def test_what_is_not_read_does_not_count(tmp_path):
+    names = tuple(f"{c}.{i}" for i in range(10) for c in "XYZ")
+    path = write(tmp_path / "a.exr", np.ones((8, 8, 33), np.float32), ("R", "G", "B", *names))
+    assert read_picture(path, max_values=8 * 8 * 3).values.shape == (8, 8, 3)
+
+
+def test_pictures_are_reduced_by_area_averages():
+    values = np.random.default_rng(4).random((60, 90, 1)).astype(np.float32)
+    small = pictures.reduced(values, 30)
+    expected = values.reshape(20, 3, 30, 3, 1).mean(axis=(1, 3))
+    np.testing.assert_allclose(small, expected, rtol=1e-5)
+    assert pictures.reduced(values, 90) is values
 
 
 def test_codes_go_through_the_inverse_srgb_curve(tmp_path):
@@ -105,6 +132,9 @@ def test_a_map_of_noise_lies_over_the_picture():
     assert grey[0] == grey[1] == grey[2] < 100  # nothing changed: the picture, dark and without colour
     assert drawn[18, 24].sum() > 550 and np.ptp(drawn[18, 24].astype(int)) > 30  # 100 %: pale magma
     assert drawn[1, 39].sum() < drawn[18, 39].sum() / 2  # 0.1 %: dark
+    # Over a picture that was reduced to half, a block is half as large.
+    half = noise_picture(codes, 4.0, backdrop[::2, ::2])
+    assert np.abs(half.astype(int) - drawn[::2, ::2].astype(int)).mean() < 8
     one = noise_picture(np.full((1, 1), 30, np.uint8), 64, backdrop)
     assert (one == one[0, 0]).all()
 
