@@ -39,7 +39,7 @@ def _textures(facts: ShotFacts) -> Verdict:
 
 
 def _holdout(facts: ShotFacts) -> Verdict:
-    if not any(o.holdout for o in facts.scene.virtual):
+    if not any(o.holdout for o in facts.scene.objects):
         return absent("no object is a holdout")
     return needed("holdout objects")
 
@@ -60,6 +60,6 @@ def _environment(facts: ShotFacts) -> Verdict:
 VIRTUAL = Rule("virtual", "what the camera sees of virtual objects", _virtual)
 GLOSSY = Rule("glossy", "glossy reflection", _glossy)
 TEXTURES = Rule("textures", "reflectance that varies over a surface", _textures)
-HOLDOUT = Rule("holdout", "objects that show the photo and hide virtual ones", _holdout)
+HOLDOUT = Rule("holdout", "objects that show the photo, untouched, and hide virtual ones", _holdout)
 DISTORTION = Rule("lens-distortion", "distortion of the lens on the virtual layer", _distortion)
 ENVIRONMENT = Rule("environment-light", "light from the environment map", _environment)

@@ -78,7 +78,7 @@ def _real(item: given.RealObject) -> SceneObject:
         material = Material(from_photo=True)
     else:
         material = _material("diffuse", item.reflectance, 0.0)
-    return _object(item, material, _shape(item), virtual=False, holdout=False)
+    return _object(item, material, _shape(item), virtual=False, holdout=item.holdout)
 
 
 def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ...]]]:

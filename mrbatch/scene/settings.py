@@ -328,6 +328,11 @@ class RealObject(Object):
         description="Diffuse reflectance, linear Rec.709, 0..1: grey, [r, g, b], a texture, or `photo`, "
         "which takes it from the picture by Delta = L_b dE / E_r"
     )
+    holdout: bool = Field(
+        False,
+        description="Whether the photo stays untouched on it; it hides virtual objects, and others see it "
+        "changed as before",
+    )
 
 
 class VirtualObject(Object):

@@ -117,6 +117,26 @@ def test_holdout_shows_the_photo_and_hides_what_is_behind(method):
     assert inside.shape and not held.developed.P[covered].any() and not held.developed.D[covered].any()
 
 
+def test_real_holdout_keeps_the_photo_and_still_reflects_what_changed():
+    """No Delta where the camera sees it, nothing virtual behind it; on others its light is as it was."""
+    size = 2.0**14
+    wall = placed(plane(size, size), at=(0, 0, size / 2), normal=(1, 0, 0))
+    base = [real("floor", placed(plane(size, size), at=(size / 2, 0, 0)), 0.5), real("wall", wall, 0.5)]
+    held = [base[0], replace(base[1], holdout=True)]
+    lid = virtual("lid", ball(0.4, at=(0.6, 0, 0.6), subdivisions=4), 0.0, camera=False)
+    assert not probe(scene_of([*held, lid]), (0, 0, 0.6), normal=(1, 0, 0), distance=8.0, spp=16).pixels.any()
+    assert probe(scene_of([*base, lid]), (0, 0, 0.6), normal=(1, 0, 0), distance=8.0, spp=16).pixels.any()
+    under, full = (probe(scene_of([*items, lid]), (0.6, 0, 0), spp=64) for items in (held, base))
+    assert np.array_equal(under.pixels, full.pixels)
+    front = real("card", plane(3, 3, centre=(0, -0.5, 2.0)), 0.5, holdout=True, cast_shadow=False)
+    for method in (DELTA, IMAGE_BASED):
+        found = picture([real("floor", floor()), black_ball(), front], method=method)
+        seen = picture([real("floor", floor()), black_ball()], method=method)
+        hidden = (seen.developed.a > 0) & (found.developed.a == 0)
+        assert hidden.sum() > 20
+        assert not found.developed.P[hidden].any() and not found.developed.D[hidden].any()
+
+
 # --- rules --------------------------------------------------------------------------------------
 
 TEXTURE = Texture(np.full((2, 2, 3), 0.5, np.float32))
@@ -148,6 +168,7 @@ STATES = {
     "no shadow": ([FLAT, black_ball(cast_shadow=False)], {"virtual": 1, "light-change": 0}),
     "unseen": ([FLAT, black_ball(camera=False)], {"virtual": 0, "light-change": 1}),
     "holdout": ([FLAT, black_ball(holdout=True)], {"holdout": 1}),
+    "real holdout": ([replace(FLAT, holdout=True), black_ball()], {"holdout": 1}),
     "stiff": ([replace(FLAT, receive=False), black_ball()], {"light-change": 0, "receive-switch": 1}),
 }
 

@@ -106,3 +106,17 @@ def test_other_turns_and_matrices_of_a_job(tmp_path):
     matrix = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     light = given.Environment.model_validate({"file": str(path), "world_from_map": matrix})
     np.testing.assert_array_equal(build_scene(light, [], []).environment.world_from_map, matrix)
+
+
+@pytest.mark.parametrize("switch", ["camera", "cast_shadow", "receive", "holdout"])
+def test_every_object_has_every_switch(switch):
+    usual = switch != "holdout"
+    shape = {"plane": {"size": ["1 m", "1 m"]}}
+    for word in ({}, {switch: not usual}):
+        items = [
+            given.RealObject.model_validate({"name": "a", "reflectance": 0.5, **shape, **word}),
+            given.VirtualObject.model_validate({"name": "b", **shape, **word}),
+        ]
+        scene = build_scene(None, items[:1], items[1:])
+        wanted = word.get(switch, usual)
+        assert [getattr(o, switch) for o in scene.objects] == [wanted, wanted]
