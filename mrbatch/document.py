@@ -90,15 +90,14 @@ def scalar(text: str) -> Any:
     return text
 
 
-def read_document(text: str, file: str, *, max_bytes: int = MAX_BYTES) -> Document:
+def read_document(text: str, file: str) -> Document:
     """Parses `text`; `file` names it in messages. Raises JobErrors."""
-    return _Reader(text, file, max_bytes).read()
+    return _Reader(text, file).read()
 
 
 class _Reader:
-    def __init__(self, text: str, file: str, max_bytes: int):
+    def __init__(self, text: str, file: str):
         self.text = text
-        self.max_bytes = max_bytes
         self.file = file
         self.lines = text.splitlines()
         self.document = Document(None)
@@ -120,9 +119,9 @@ class _Reader:
         return JobErrors([*self.errors, JobError(message, place=self.place(mark), hint=hint)])
 
     def read(self) -> Document:
-        if len(self.text.encode("utf-8", "surrogatepass")) > self.max_bytes:
+        if len(self.text.encode("utf-8", "surrogatepass")) > MAX_BYTES:
             raise JobErrors(
-                [JobError(f"the file is larger than {self.max_bytes >> 10} KiB", place=Place(file=self.file))]
+                [JobError(f"the file is larger than {MAX_BYTES >> 10} KiB", place=Place(file=self.file))]
             )
         try:
             self._read()

@@ -276,10 +276,13 @@ def bomb_of_aliases() -> str:
         "%YAML:1.0\n---\na: opencv-matrix\nb: " + DEEP,
         "%YAML:1.0\n---\na: opencv-matrix\nb:\n   " + "- " * 100_000,
         "<?xml version='1.0'?><opencv_storage>" + "<a>" * 100_000,
+        "%YAML:1.0\n---\na: opencv-matrix\n" + "".join(f"k{i}: 1\n" for i in range(100_000)),
+        "%YAML:1.0\n---\na: opencv-matrix\nb: [" + "1, " * 300_000 + "1]\n",
+        "# all comment\n" * 100_000,
         "fx: 1\n" * 2,
         "x" * (5 << 20),
     ],
-    ids=range(12),
+    ids=range(15),
 )
 def test_hostile_calibrations(tmp_path, content):
     path = tmp_path / ("c.xml" if content.startswith("<") else "c.yaml")

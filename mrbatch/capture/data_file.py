@@ -51,9 +51,9 @@ def parse_json(text: str, what: str, place: Place) -> Any:
 
 
 def parse_yaml(text: str, what: str, place: Place) -> Any:
-    """Plain data from YAML, by the limits and rules of job files. Raises InputError."""
+    """Plain data from YAML, by the limits (1 MiB) and rules of job files. Raises InputError."""
     try:
-        return read_document(text, place.file or "", max_bytes=MAX_BYTES).data
+        return read_document(text, place.file or "").data
     except JobErrors as several:
         first = several.errors[0]
         raise InputError(

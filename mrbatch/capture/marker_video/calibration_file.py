@@ -18,6 +18,8 @@ from mrbatch.errors import InputError, Place
 WHAT = "calibration file"
 MAX_ARRAYS = 256
 """Arrays of one NPZ file."""
+MAX_KEYS = 1000
+"""Keys of one mapping, and items of one list, of a FileStorage (matrices apart)."""
 _PICKLED = "the file holds pickled Python objects, which are not read"
 _PICKLED_HINT = "save plain arrays: np.savez(path, camera_matrix=K, dist=d)"
 _DASHES = re.compile(r"(?:-[ \t\r\n]+)+")
@@ -130,8 +132,7 @@ def _read_filestorage(text: str, suffix: str, place: Place) -> dict[str, Any]:
     )
     try:
         storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY | kind)
-        root = storage.root()
-        content = {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
+        content = _mapping(storage.root())
     except (cv2.error, SystemError, ValueError, RecursionError) as error:
         cause = error.__cause__ or error
         reason = (str(cause).strip().splitlines() or ["damaged"])[-1]
@@ -165,6 +166,8 @@ def _node(node: Any) -> Any:
     if node.isString():
         return node.string()
     if node.isSeq():
+        if node.size() > MAX_KEYS:
+            raise ValueError(f"a list of {node.size()} items, at most {MAX_KEYS}")
         return [_node(node.at(i)) for i in range(node.size())]
     if node.isMap():
         keys = node.keys()
@@ -180,5 +183,12 @@ def _node(node: Any) -> Any:
             if math.prod(max(size, 1.0) for size in sizes) > max(there, 1):
                 raise ValueError("a matrix announces more numbers than it has")
             return node.mat()
-        return {key: _node(node.getNode(key)) for key in keys}
+        return _mapping(node)
     return None
+
+
+def _mapping(node: Any) -> dict[str, Any]:
+    keys = node.keys()
+    if len(keys) > MAX_KEYS:  # each is looked for from the first on
+        raise ValueError(f"a mapping of {len(keys)} keys, at most {MAX_KEYS}")
+    return {key: _node(node.getNode(key)) for key in keys}
