@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mrbatch.batch.job_run import plan_job as plan
     from mrbatch.batch.job_run import render_job as render
+    from mrbatch.capture.marker_video.board import make_board
     from mrbatch.capture.marker_video.bracket_merge import merge_hdr
     from mrbatch.job import load_job
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "load_job", "merge_hdr", "plan", "render"]
+__all__ = ["__version__", "load_job", "make_board", "merge_hdr", "plan", "render"]
 
 _HOMES = {
     "load_job": ("mrbatch.job", "load_job"),
+    "make_board": ("mrbatch.capture.marker_video.board", "make_board"),
     "merge_hdr": ("mrbatch.capture.marker_video.bracket_merge", "merge_hdr"),
     "plan": ("mrbatch.batch.job_run", "plan_job"),
     "render": ("mrbatch.batch.job_run", "render_job"),
