@@ -224,6 +224,7 @@ def rays_as_the_truth_starts_them() -> Iterator[None]:
     import warp as wp
 
     from mrbatch.methods.delta_path_tracing import kernels
+    from mrbatch.scene import light_paths
 
     @wp.func
     def truth_offset(p: wp.vec3, ng: wp.vec3, d: wp.vec3, t: float) -> wp.vec3:
@@ -235,9 +236,9 @@ def rays_as_the_truth_starts_them() -> Iterator[None]:
 
     ours = kernels.offset_origin
     kernels.make_kernel.cache_clear()
-    kernels.offset_origin = truth_offset
+    kernels.offset_origin = light_paths.offset_origin = truth_offset
     try:
         yield
     finally:
-        kernels.offset_origin = ours
+        kernels.offset_origin = light_paths.offset_origin = ours
         kernels.make_kernel.cache_clear()

@@ -20,7 +20,6 @@ LONGER = {
     "metrics/errors.py": "the figures share windows and weights",
     "capture/marker_video/video.py": "one reader: table, decoding and colour of a video",
     "film/exr.py": "writing, reading and checking mirror each other",
-    "methods/delta_path_tracing/kernels.py": "one kernel and the functions that only it calls",
     "batch/run.py": "one loop: claims, commits and failures of frames",
 }
 

@@ -57,9 +57,36 @@ def _environment(facts: ShotFacts) -> Verdict:
     return needed("light from the environment", fluence=float(facts.scene.environment.fluence().mean()))
 
 
+def _light_change(facts: ShotFacts) -> Verdict:
+    if not any(o.cast_shadow for o in facts.scene.virtual):
+        return absent("no virtual object that blocks or reflects light")
+    receivers = [o for o in facts.scene.real if o.camera and o.receive]
+    if not receivers:
+        return absent("no real surface that the camera sees and that receives light")
+    return needed("real surfaces receive light that virtual objects block and send", surfaces=len(receivers))
+
+
+def _photo_reflectance(facts: ShotFacts) -> Verdict:
+    from_photo = [o for o in facts.scene.real if o.material.from_photo]
+    if not from_photo:
+        return absent("every real surface has a reflectance of its own")
+    return needed("real surfaces whose reflectance is what the photo shows", surfaces=len(from_photo))
+
+
+def _receive(facts: ShotFacts) -> Verdict:
+    if all(o.receive for o in facts.scene.objects):
+        return absent("every object receives light changes")
+    return needed("objects that take no light change from virtual ones")
+
+
 VIRTUAL = Rule("virtual", "what the camera sees of virtual objects", _virtual)
 GLOSSY = Rule("glossy", "glossy reflection", _glossy)
 TEXTURES = Rule("textures", "reflectance that varies over a surface", _textures)
 HOLDOUT = Rule("holdout", "objects that show the photo, untouched, and hide virtual ones", _holdout)
 DISTORTION = Rule("lens-distortion", "distortion of the lens on the virtual layer", _distortion)
 ENVIRONMENT = Rule("environment-light", "light from the environment map", _environment)
+LIGHT_CHANGE = Rule("light-change", "shadow and light of virtual objects on real surfaces", _light_change)
+PHOTO_REFLECTANCE = Rule(
+    "photo-reflectance", "reflectance of real surfaces from the photo", _photo_reflectance
+)
+RECEIVE = Rule("receive-switch", "objects that take no light change", _receive)

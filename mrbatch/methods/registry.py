@@ -10,6 +10,8 @@ METHODS: Registry[Method] = Registry(
     {
         "image-based-lighting": "mrbatch.methods.image_based_lighting:METHOD",
         "delta-path-tracing": "mrbatch.methods.delta_path_tracing:METHOD",
+        "two-pass": "mrbatch.methods.two_pass:METHOD",
+        "one-pass": "mrbatch.methods.one_pass:METHOD",
     },
 )
 

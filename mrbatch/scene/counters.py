@@ -9,3 +9,5 @@ COUNTERS = (
     Counter("lookups", "reads", "radiance read from the environment"),
     Counter("vertices", "points", "surface points at which light was sampled"),
 )
+CAMERA_RAYS, SHADOW_RAYS, SCATTER_RAYS, LOOKUPS, VERTICES = range(5)
+"""Their places."""

@@ -10,8 +10,10 @@ from numpy_tracer import Ball, Plane, radiance
 
 from mrbatch.film.composite import composite
 from mrbatch.methods.delta_path_tracing import METHOD
-from mrbatch.methods.delta_path_tracing.cases import (
-    CASES,
+from mrbatch.methods.delta_path_tracing.cases import CASES
+from mrbatch.methods.delta_path_tracing.cases import delta_probe as probe
+from mrbatch.methods.estimate import estimate
+from mrbatch.scene.closed_forms import (
     ball,
     ball_share,
     corner,
@@ -20,14 +22,12 @@ from mrbatch.methods.delta_path_tracing.cases import (
     lamp_sky,
     look_at,
     placed,
-    probe,
     real,
     scene_of,
     sky,
     sunk_ball_share,
     virtual,
 )
-from mrbatch.methods.estimate import estimate
 from mrbatch.scene.environment import Environment, rotation_from_yaw
 from mrbatch.scene.mesh import icosphere, plane
 from mrbatch.scene.scene import Material, Scene, centre
@@ -50,7 +50,7 @@ def test_hard_case_of_the_product(case):
 
 def test_cases_are_judged_by_their_numbers():
     """A case that could not fail would be worth nothing: a wrong oracle is seen."""
-    from mrbatch.methods.delta_path_tracing.cases import judge
+    from mrbatch.methods.probe import judge
 
     assert judge(np.array([0.5]), np.array([0.01]), np.array([0.53]), 0.0).passed
     assert not judge(np.array([0.5]), np.array([0.01]), np.array([0.55]), 0.0).passed

@@ -17,7 +17,7 @@ from mrbatch.film.layers import NOTHING
 from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
 from mrbatch.film.rendering import FrameRenderer, Source
 from mrbatch.film.window import Window
-from mrbatch.methods.delta_path_tracing.cases import ball, look_at, real, scene_of, virtual
+from mrbatch.scene.closed_forms import ball, look_at, real, scene_of, virtual
 from mrbatch.scene.mesh import plane
 from mrbatch.scene.scene import Material, Texture
 from mrbatch.scene.scene_data import upload

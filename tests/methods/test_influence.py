@@ -10,18 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mrbatch.methods.delta_path_tracing import METHOD
-from mrbatch.methods.delta_path_tracing.cases import (
-    ball,
-    lamp_sky,
-    look_at,
-    placed,
-    real,
-    scene_of,
-    sky,
-    virtual,
-)
 from mrbatch.methods.estimate import estimate
 from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
+from mrbatch.scene.closed_forms import ball, lamp_sky, look_at, placed, real, scene_of, sky, virtual
 from mrbatch.scene.mesh import Mesh, box, plane
 from mrbatch.scene.scene import Material, SceneObject
 

@@ -9,22 +9,16 @@ import pytest
 
 from mrbatch.film.window import Window
 from mrbatch.methods.delta_path_tracing import METHOD as DELTA
-from mrbatch.methods.delta_path_tracing.cases import (
-    ball,
-    corner,
-    lamp_sky,
-    look_at,
-    real,
-    scene_of,
-    virtual,
-)
 from mrbatch.methods.estimate import estimate
 from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
+from mrbatch.methods.one_pass import METHOD as ONE_PASS
+from mrbatch.methods.two_pass import METHOD as TWO_PASS
 from mrbatch.metrics.tiles import tile_sums
+from mrbatch.scene.closed_forms import ball, corner, lamp_sky, look_at, real, scene_of, virtual
 from mrbatch.scene.mesh import box
 from mrbatch.scene.scene import Material
 
-METHODS = pytest.mark.parametrize("method", [DELTA, IMAGE_BASED], ids=lambda m: m.name)
+METHODS = pytest.mark.parametrize("method", [DELTA, IMAGE_BASED, TWO_PASS, ONE_PASS], ids=lambda m: m.name)
 WIDTH, HEIGHT = 70, 50
 FIELDS = ("P", "a", "D", "variance", "samples", "halves")
 
@@ -100,7 +94,7 @@ def test_overscan_goes_on_beyond_the_picture(method):
     rim = np.ones(wide.developed.a.shape, bool)
     rim[inner] = False
     assert wide.developed.samples[rim].max() in (0, 8)
-    if method is DELTA:
+    if method is not IMAGE_BASED:
         assert wide.developed.samples[rim].max() == 8
         assert np.abs(wide.developed.D[rim]).max() > 0
 

@@ -10,7 +10,8 @@ import pytest
 from mrbatch.film.photo_reflectance import open_sides
 from mrbatch.film.window import Window
 from mrbatch.methods.delta_path_tracing import METHOD
-from mrbatch.methods.delta_path_tracing.cases import (
+from mrbatch.methods.estimate import estimate
+from mrbatch.scene.closed_forms import (
     ball,
     ball_share,
     everything_virtual,
@@ -22,7 +23,6 @@ from mrbatch.methods.delta_path_tracing.cases import (
     sky,
     virtual,
 )
-from mrbatch.methods.estimate import estimate
 from mrbatch.scene.mesh import box, plane
 from mrbatch.scene.scene import Material, Texture
 

@@ -11,26 +11,33 @@ import pytest
 from mrbatch.contracts import TILE
 from mrbatch.device.rays import resolve_engine
 from mrbatch.methods.delta_path_tracing import METHOD as DELTA
-from mrbatch.methods.delta_path_tracing.cases import (
+from mrbatch.methods.delta_path_tracing.cases import delta_probe as probe
+from mrbatch.methods.delta_path_tracing.kernels import Flags, make_kernel
+from mrbatch.methods.estimate import estimate
+from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
+from mrbatch.methods.one_pass import METHOD as ONE_PASS
+from mrbatch.methods.probe import probe as probe_of
+from mrbatch.methods.two_pass import METHOD as TWO_PASS
+from mrbatch.metrics.region import dilate
+from mrbatch.scene.closed_forms import (
     ball,
     ball_share,
     corner,
     floor,
     look_at,
     placed,
-    probe,
     real,
     scene_of,
     sky,
     virtual,
 )
-from mrbatch.methods.delta_path_tracing.kernels import Flags, make_kernel
-from mrbatch.methods.estimate import estimate
-from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
 from mrbatch.scene.environment import Environment
 from mrbatch.scene.mesh import plane
 from mrbatch.scene.scene import Material, Texture
 from mrbatch.scene.shading import ShadingFlags
+
+EVERY = pytest.mark.parametrize("method", [DELTA, IMAGE_BASED, TWO_PASS, ONE_PASS], ids=lambda m: m.name)
+DIFFERENTIAL = pytest.mark.parametrize("method", [DELTA, TWO_PASS, ONE_PASS], ids=lambda m: m.name)
 
 
 def picture(objects, *, method=DELTA, spp=32, size=32, light=None, **options):
@@ -46,16 +53,19 @@ def black_ball(**switches):
 # --- switches -----------------------------------------------------------------------------------
 
 
-def test_camera_switch_leaves_shadow_and_reflection():
-    seen = picture([real("floor", floor()), black_ball()])
-    unseen = picture([real("floor", floor()), black_ball(camera=False)])
+@DIFFERENTIAL
+def test_camera_switch_leaves_shadow_and_reflection(method):
+    seen = picture([real("floor", floor()), black_ball()], method=method)
+    unseen = picture([real("floor", floor()), black_ball(camera=False)], method=method)
     assert seen.developed.a.sum() > 50 and not unseen.developed.a.any()
-    clear = seen.developed.a == 0
+    # A second picture has other offsets in a pixel: the ball's rim may cover one of them.
+    clear = ~dilate(seen.developed.a > 0, 1.5) if method is TWO_PASS else seen.developed.a == 0
+    assert seen.developed.D[clear].any()
     assert np.array_equal(seen.developed.D[clear], unseen.developed.D[clear])
     assert seen.plan.effects["virtual"].state == "needed" and unseen.plan.effects["virtual"].state == "absent"
 
 
-@pytest.mark.parametrize("method", [DELTA, IMAGE_BASED], ids=lambda m: m.name)
+@EVERY
 def test_object_without_cast_shadow_is_seen_by_the_camera_alone(method):
     ghost = picture([real("floor", floor()), black_ball(cast_shadow=False)], method=method)
     assert ghost.developed.a.sum() > 50 and not ghost.developed.D.any()
@@ -67,8 +77,13 @@ def test_object_without_cast_shadow_is_seen_by_the_camera_alone(method):
         assert np.allclose(found.virtual, 1.0, atol=5e-3)
 
 
-def test_real_object_that_takes_no_change_keeps_the_photo():
+@DIFFERENTIAL
+def test_real_object_that_takes_no_change_keeps_the_photo(method):
     """`receive` off: no Delta on it, and what it sends to others does not change either."""
+
+    def probe(*arguments, **options):
+        return probe_of(method, *arguments, **options)
+
     size = 2.0**14
     wall = placed(plane(size, size), at=(0, 0, size / 2), normal=(1, 0, 0))
     base = [real("floor", placed(plane(size, size), at=(size / 2, 0, 0)), 0.5), real("wall", wall, 0.5)]
@@ -92,18 +107,19 @@ def test_real_object_that_takes_no_change_keeps_the_photo():
     assert under.delta[0] == pytest.approx(-0.5 * lost, abs=4 * under.delta_error[0] + 5e-4)
 
 
-def test_virtual_object_that_receives_nothing_is_lit_as_if_alone_among_real_things():
+@DIFFERENTIAL
+def test_virtual_object_that_receives_nothing_is_lit_as_if_alone_among_real_things(method):
     card = virtual("card", plane(1, 1, centre=(0, 0, 0.2)), 1.0, receive=False)
     lid = virtual("lid", plane(20, 20, centre=(0, 0, 0.5)), 0.0, camera=False)
     for item, expected in ((card, 1.0), (replace(card, receive=True), None)):
-        found = probe(scene_of([item, lid]), (0, 0, 0.2), distance=0.1, spp=32)
+        found = probe_of(method, scene_of([item, lid]), (0, 0, 0.2), distance=0.1, spp=32)
         if expected is None:
             assert found.virtual.max() < 0.1
         else:
             assert np.allclose(found.virtual, expected, atol=5e-3)
 
 
-@pytest.mark.parametrize("method", [DELTA, IMAGE_BASED], ids=lambda m: m.name)
+@EVERY
 def test_holdout_shows_the_photo_and_hides_what_is_behind(method):
     front = virtual("hold", plane(3, 3, centre=(0, -0.5, 2.0)), 0.5, holdout=True, cast_shadow=False)
     behind = virtual("card", plane(2, 2, centre=(0, 0, 0.5)), 0.5)
@@ -261,8 +277,10 @@ def test_absent_effects_would_have_changed_nothing():
         assert np.array_equal(getattr(lean.developed, name), getattr(full.developed, name)), name
 
 
-def test_black_light_gives_nothing_at_all():
-    dark = picture([FLAT, virtual("ball", ball(at=(0, 0, 1.2), subdivisions=2), 0.6)], light=sky(0.0))
+@DIFFERENTIAL
+def test_black_light_gives_nothing_at_all(method):
+    objects = [FLAT, virtual("ball", ball(at=(0, 0, 1.2), subdivisions=2), 0.6)]
+    dark = picture(objects, method=method, light=sky(0.0))
     assert dark.plan.effects["environment-light"].state == "absent"
     assert not dark.developed.P.any() and not dark.developed.D.any() and dark.developed.a.any()
 
@@ -286,12 +304,13 @@ def test_image_based_lighting_is_the_irradiance_of_the_map():
         assert abs(found.mean() - expected) < 1e-3 + 4 * found.mean(axis=1).std() / 8
 
 
-def test_forced_off_virtual_layer_leaves_the_shadow_under_the_object():
+@DIFFERENTIAL
+def test_forced_off_virtual_layer_leaves_the_shadow_under_the_object(method):
     objects = [real("floor", floor()), black_ball()]
-    whole = picture(objects)
-    shadow = picture(objects, forced={"virtual": "off"})
+    whole = picture(objects, method=method)
+    shadow = picture(objects, method=method, forced={"virtual": "off"})
     assert not shadow.developed.a.any() and not shadow.developed.P.any()
-    unseen = picture([objects[0], black_ball(camera=False)])
+    unseen = picture([objects[0], black_ball(camera=False)], method=method)
     assert np.array_equal(shadow.developed.D, unseen.developed.D)
     assert shadow.developed.D.sum() < whole.developed.D.sum()
     assert ball_share(1, 1.5, 0.0) == pytest.approx(1 / 2.25)

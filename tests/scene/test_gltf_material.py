@@ -145,8 +145,8 @@ def test_pictures_beside_a_gltf_belong_to_it(tmp_path):
 def test_roughness_and_metalness_vary_over_the_surface():
     """A card half mirror, half black plastic under a white sky: what the camera sees on either side."""
     from mrbatch.methods.delta_path_tracing import METHOD
-    from mrbatch.methods.delta_path_tracing.cases import look_at, scene_of, sky
     from mrbatch.methods.estimate import estimate
+    from mrbatch.scene.closed_forms import look_at, scene_of, sky
     from mrbatch.scene.mesh import plane
     from mrbatch.scene.scene import Material, SceneObject, Texture
 

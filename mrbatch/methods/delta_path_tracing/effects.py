@@ -11,6 +11,9 @@ from mrbatch.effects.surface_rules import (
     ENVIRONMENT,
     GLOSSY,
     HOLDOUT,
+    LIGHT_CHANGE,
+    PHOTO_REFLECTANCE,
+    RECEIVE,
     TEXTURES,
     VIRTUAL,
     absent,
@@ -18,15 +21,6 @@ from mrbatch.effects.surface_rules import (
 )
 from mrbatch.scene.mesh import plane_of
 from mrbatch.scene.scene import SceneObject
-
-
-def _light_change(facts: ShotFacts) -> Verdict:
-    if not any(o.cast_shadow for o in facts.scene.virtual):
-        return absent("no virtual object that blocks or reflects light")
-    receivers = [o for o in facts.scene.real if o.camera and o.receive]
-    if not receivers:
-        return absent("no real surface that the camera sees and that receives light")
-    return needed("real surfaces receive light that virtual objects block and send", surfaces=len(receivers))
 
 
 def _real_on_real(facts: ShotFacts) -> Verdict:
@@ -64,29 +58,16 @@ def _bleeding(facts: ShotFacts) -> Verdict:
     return needed("virtual objects reflect light onto real surfaces", objects=len(senders))
 
 
-def _photo_reflectance(facts: ShotFacts) -> Verdict:
-    from_photo = [o for o in facts.scene.real if o.material.from_photo]
-    if not from_photo:
-        return absent("every real surface has a reflectance of its own")
-    return needed("real surfaces whose reflectance is what the photo shows", surfaces=len(from_photo))
-
-
-def _receive(facts: ShotFacts) -> Verdict:
-    if all(o.receive for o in facts.scene.objects):
-        return absent("every object receives light changes")
-    return needed("objects that take no light change from virtual ones")
-
-
 RULES = (
     VIRTUAL,
-    Rule("light-change", "shadow and light of virtual objects on real surfaces", _light_change),
+    LIGHT_CHANGE,
     Rule("real-on-real", "light between real surfaces that virtual objects block", _real_on_real),
     Rule("bleeding", "light that virtual objects send onto real surfaces", _bleeding),
     GLOSSY,
     TEXTURES,
-    Rule("photo-reflectance", "reflectance of real surfaces from the photo", _photo_reflectance),
+    PHOTO_REFLECTANCE,
     HOLDOUT,
-    Rule("receive-switch", "objects that take no light change", _receive),
+    RECEIVE,
     DISTORTION,
     ENVIRONMENT,
 )

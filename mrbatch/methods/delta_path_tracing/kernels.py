@@ -29,13 +29,13 @@ from typing import Any
 
 import warp as wp
 
-from mrbatch.device.rays import FAR, Engine, RaySet, rays
+from mrbatch.device.rays import FAR, RaySet, rays
 from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
+from mrbatch.film.path_pipeline import CameraPathFlags
 from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
-    balance_heuristic_counts,
     max_component,
     offset_origin,
     orthonormal_basis,
@@ -44,70 +44,31 @@ from mrbatch.kernels.numerics import (
 )
 from mrbatch.kernels.rng import make_sampler, pixel_key
 from mrbatch.kernels.sampling import make_pixel_filter
+from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
 from mrbatch.scene.frame_params import FrameParams
-from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, SurfacePoint, surface_point
-from mrbatch.scene.shading import PhotoReflectance, ShadingFlags, make_surface
-
-DIM_PIXEL = wp.constant(wp.int32(0))
-DIM_VERTEX = wp.constant(wp.int32(8))
-DIM_LIGHT = wp.constant(wp.int32(0))
-DIM_SCATTER = wp.constant(wp.int32(1))
-DIM_ROULETTE = wp.constant(wp.int32(2))
-ROULETTE_MOST = wp.constant(wp.float32(0.95))
-"""A path survives roulette at most this often, so that it ends even among white walls."""
-ROULETTE_LEAST = wp.constant(wp.float32(0.05))
-
-CAMERA_RAYS, SHADOW_RAYS, SCATTER_RAYS, LOOKUPS, VERTICES = 0, 1, 2, 3, 4
+from mrbatch.scene.light_paths import (
+    DIM_LIGHT,
+    DIM_PIXEL,
+    DIM_ROULETTE,
+    DIM_SCATTER,
+    DIM_VERTEX,
+    PathNumbers,
+    make_paths,
+)
+from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, surface_point
+from mrbatch.scene.shading import make_surface
 
 
 @dataclass(frozen=True)
-class Flags:
+class Flags(CameraPathFlags):
     """What a shot calls for; each that is off leaves no code in the kernel."""
 
-    engine: Engine = "embree"
-    bsdf_kinds: frozenset[str] = frozenset({"diffuse"})
-    masking: str = "height-correlated"
-    camera_model: str = "perspective"
-    distortion: bool = False
-    interpolation: str = "bilinear"
-    sampler: str = "owen"
-    light_sampler: str = "median-cut"
-    pixel_filter: str = "box"
-    strategy: str = "mis"
-    shading: ShadingFlags = ShadingFlags()
-    virtual_seen: bool = True
-    """The camera sees virtual objects."""
-    light_change: bool = True
-    """Real surfaces are seen and can change."""
     real_on_real: bool = True
     """A real point can see another real point."""
     virtual_paths: bool = True
     """Light goes on after the first scattering: bleeding, inter-reflection, reflections of surfaces."""
-    unreceptive: bool = False
-    """Some object takes no light change from virtual objects."""
-    holdout: bool = False
     split: bool = False
     """The film keeps blocked and indirect light of D apart."""
-
-
-@wp.struct
-class Settings:
-    """Numbers of the estimator. `max_edges`: longest path in edges, the camera's included."""
-
-    max_edges: wp.int32
-    roulette_from: wp.int32
-    light_samples: wp.int32
-
-
-@wp.struct
-class Leg:
-    """What a path gathered, and the work it took."""
-
-    radiance: wp.vec3
-    shadow_rays: wp.int32
-    scatter_rays: wp.int32
-    lookups: wp.int32
-    vertices: wp.int32
 
 
 @dataclass(frozen=True)
@@ -130,23 +91,11 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     funcs = make_surface(flags.shading, camera)
-    surface_at, bare_at, reflectance_at = funcs.surface, funcs.bare, funcs.reflectance
-    sample_light = flags.strategy in ("mis", "environment")
-    weigh = flags.strategy == "mis"
-
-    @wp.func
-    def light_weight(count: int, light_pdf: float, scatter_pdf: float) -> float:
-        # Weight of one of `count` directions drawn from the environment.
-        n = float(count)
-        if wp.static(weigh):
-            return balance_heuristic_counts(n, light_pdf, 1.0, scatter_pdf) / n
-        return 1.0 / n
-
-    @wp.func
-    def scatter_weight(scatter_pdf: float, count: int, light_pdf: float) -> float:
-        if wp.static(weigh):
-            return balance_heuristic_counts(1.0, scatter_pdf, float(count), light_pdf)
-        return wp.where(wp.static(sample_light), 0.0, 1.0)
+    bare_at, reflectance_at = funcs.bare, funcs.reflectance
+    paths = make_paths(flags)
+    path, lights_at, survival = paths.path, paths.lights_at, paths.survival
+    light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
+    sample_light = paths.sample_light
 
     @wp.func
     def reach_of(scene: SceneData) -> RaySet:
@@ -155,102 +104,11 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             return scene.all_set
         return scene.virtual_set
 
-    @wp.func
-    def lights_at(settings: Settings, edges: int) -> int:
-        # Where the camera's ray ends, several: what they find is seen directly.
-        return wp.where(edges == 1, settings.light_samples, 1)
-
-    @wp.func
-    def survival(throughput: wp.vec3, edges: int, settings: Settings) -> float:
-        if edges < settings.roulette_from:
-            return 1.0
-        return wp.clamp(max_component(throughput), ROULETTE_LEAST, ROULETTE_MOST)
-
-    @wp.func
-    def path(
-        scene: SceneData,
-        photo: PhotoReflectance,
-        settings: Settings,
-        among: RaySet,
-        start: SurfacePoint,
-        direction: wp.vec3,
-        edges_so_far: int,
-        key: wp.uint64,
-        index: int,
-    ) -> Leg:
-        """Radiance that leaves `start` against `direction`, traced among the objects of one ray set.
-
-        `edges_so_far`: edges of the path from the camera to `start`.
-        """
-        leg = Leg()
-        throughput = wp.vec3(1.0, 1.0, 1.0)
-        point = start
-        d = direction
-        edges = int(edges_so_far)
-        scene_set = among
-        while edges < settings.max_edges:
-            leg.vertices += 1
-            dimension = DIM_VERTEX * edges
-            if wp.static(flags.unreceptive):
-                # Light that reaches such a point has not met virtual objects, nor will it before the sky.
-                if (scene.objects[point.object].flags & RECEIVE) == 0:
-                    scene_set = scene.real_set
-            surface = surface_at(scene, photo, point)
-            basis = orthonormal_basis(point.ns)
-            wo = to_local(basis, -d)
-            lights = lights_at(settings, edges)
-            if wp.static(sample_light):
-                for number in range(lights):
-                    light = env_sample(
-                        scene.environment,
-                        sample_2d_bits(key, index * lights + number, dimension + DIM_LIGHT),
-                    )
-                    if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
-                        wi = to_local(basis, light.direction)
-                        value = bsdf_evaluate(surface, wo, wi)
-                        if max_component(value) > 0.0:
-                            leg.shadow_rays += 1
-                            o = offset_origin(point.p, point.ng, light.direction, point.reach)
-                            if not occluded(scene_set, o, light.direction, FAR):
-                                leg.lookups += 1
-                                w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
-                                leg.radiance += (
-                                    wp.cw_mul(
-                                        wp.cw_mul(throughput, value),
-                                        env_radiance(scene.environment, light.direction),
-                                    )
-                                    * w
-                                )
-            drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
-            if max_component(drawn.weight) <= 0.0:
-                break
-            d = to_world(basis, drawn.wi)
-            if wp.dot(point.ng, d) <= 0.0:
-                break
-            throughput = wp.cw_mul(throughput, drawn.weight)
-            leg.scatter_rays += 1
-            o = offset_origin(point.p, point.ng, d, point.reach)
-            hit = trace(scene_set, o, d, FAR)
-            if hit.triangle < 0:
-                w = scatter_weight(drawn.pdf, lights, env_pdf(scene.environment, d))
-                if w > 0.0:
-                    leg.lookups += 1
-                    leg.radiance += wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
-                break
-            edges += 1
-            q = survival(throughput, edges, settings)
-            if q < 1.0:
-                if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
-                    break
-                throughput = throughput / q
-            point = surface_point(scene, hit.triangle, hit.u, hit.v, d)
-        return leg
-
     @wp.kernel(enable_backward=False, module="unique")
     def delta_path_tracing(
         scene: SceneData,
         frame: FrameParams,
-        settings: Settings,
+        numbers: PathNumbers,
         film: FilmData,
         units: wp.array(dtype=wp.int32),
         first_unit: int,
@@ -310,14 +168,14 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                     if not is_virtual and not skip:
                         d = primary.direction
                         throughput = wp.vec3(1.0, 1.0, 1.0)
-                        while edges < settings.max_edges:
+                        while edges < numbers.max_edges:
                             vertices += 1
                             dimension = DIM_VERTEX * edges
                             # Real surfaces are diffuse, so reflectance is a factor: read where it counts.
                             surface = bare_at(scene, frame.photo, point)
                             basis = orthonormal_basis(point.ns)
                             wo = to_local(basis, -d)
-                            lights = lights_at(settings, edges)
+                            lights = lights_at(numbers, edges)
                             if wp.static(sample_light):
                                 for number in range(lights):
                                     light = env_sample(
@@ -416,7 +274,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                     if (scene.objects[point.object].flags & RECEIVE) == 0:
                                         break
                                 edges += 1
-                                q = survival(throughput, edges, settings)
+                                q = survival(throughput, edges, numbers)
                                 if q < 1.0:
                                     if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
                                         break
@@ -428,7 +286,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                         if side == 1:
                             among = scene.real_set
                             start = minus
-                    leg = path(scene, frame.photo, settings, among, start, plus_direction, edges, key, index)
+                    leg = path(scene, frame.photo, numbers, among, start, plus_direction, edges, key, index)
                     shadow_rays += leg.shadow_rays
                     scatter_rays += leg.scatter_rays
                     lookups += leg.lookups

@@ -1,0 +1,79 @@
+"""Hard cases of every method that gives the light change on real surfaces: its value is the same for all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mrbatch.contracts import Case, Measurement, Method
+from mrbatch.methods.probe import judge, probe
+from mrbatch.methods.registry import method as find_method
+from mrbatch.scene.closed_forms import (
+    ball,
+    ball_share,
+    corner,
+    everything_virtual,
+    floor,
+    real,
+    scene_of,
+    virtual,
+)
+from mrbatch.scene.scene import centre
+
+
+def black_ball(method: Method, seed: int) -> Measurement:
+    """DPT-02: a black ball resting on a plane under the sky takes rho F."""
+    distances = (0.25, 0.5, 1.0, 2.0, 4.0)
+    scene = scene_of([real("floor", floor()), virtual("ball", ball(), 0.0, camera=False)])
+    found = [probe(method, scene, (s, 0, 0), seed=seed) for s in distances]
+    oracle = -0.5 * ball_share(1.0, 1.0, np.array(distances))
+    return judge(
+        np.array([f.delta[0] for f in found]), np.array([f.delta_error[0] for f in found]), oracle, 1e-3 * 0.5
+    )
+
+
+def white_furnace(method: Method, seed: int) -> Measurement:
+    """DPT-04: among white surfaces under the sky everything shows 1, so nothing changes."""
+    scene = scene_of([real("floor", floor(), 1.0), virtual("ball", ball(), 1.0, camera=False)])
+    found = [probe(method, scene, (s, 0, 0), seed=seed) for s in (0.5, 1.0, 2.0)]
+    return judge(
+        np.array([f.delta[0] for f in found]), np.array([f.delta_error[0] for f in found]), np.zeros(3), 1e-3
+    )
+
+
+def corner_ball(method: Method, seed: int) -> Measurement:
+    """DPT-15: a ball in a corner against two full path traces, with and without it."""
+    objects = [*corner(0.5), virtual("ball", ball(0.5, at=(0.8, 0, 0.5)), (0.2, 0.5, 0.8), camera=False)]
+    found, error, oracle = [], [], []
+    for number, s in enumerate((0.4, 0.9, 1.6)):
+        ours = probe(method, scene_of(objects), (s, 0, 0), seed=seed)
+        traces = [
+            probe(
+                method,
+                scene_of(everything_virtual(objects, with_virtual=there), origin=centre(objects)),
+                (s, 0, 0),
+                spp=512,
+                seed=seed + k,
+            )
+            for k, there in ((1000 + number, True), (2000 + number, False))
+        ]
+        found.append(ours.delta)
+        oracle.append(traces[0].virtual - traces[1].virtual)
+        error.append(
+            np.sqrt(ours.delta_error**2 + traces[0].virtual_error ** 2 + traces[1].virtual_error ** 2)
+        )
+    return judge(np.ravel(found), np.ravel(error), np.ravel(oracle), 1e-4)
+
+
+def light_change_cases(name: str) -> tuple[Case, ...]:
+    """The cases for the method of this name in the registry."""
+
+    def of(measure: Callable[[Method, int], Measurement]) -> Callable[[int], Measurement]:
+        return lambda seed: measure(find_method(name), seed)
+
+    return (
+        Case("DPT-02", "a black ball on a plane blocks its form factor", of(black_ball)),
+        Case("DPT-04", "nothing changes among white surfaces", of(white_furnace)),
+        Case("DPT-15", "a ball in a corner equals two full path traces", of(corner_ball)),
+    )

@@ -1,0 +1,8 @@
+"""Hard cases of one-pass differential path tracing, for `mrbatch stability`."""
+
+from __future__ import annotations
+
+from mrbatch.contracts import Case
+from mrbatch.methods.light_change_cases import light_change_cases
+
+CASES: tuple[Case, ...] = light_change_cases("one-pass")

@@ -1,0 +1,82 @@
+"""What a method shows of one point of a surface, held against a number that is known.
+
+The picture is 8x8 and so narrow that all pixels see the same thing: 64 independent estimates, whose mean and
+standard error are held against a closed form. Objects that stand in the way are not seen by the camera (their
+switch `camera`), so points under them can be looked at from above.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mrbatch.contracts import Measurement, Method
+from mrbatch.methods.estimate import estimate
+from mrbatch.scene.closed_forms import look_at
+from mrbatch.scene.scene import Scene
+
+SIDE = 8
+SIGMAS = 4.0
+_NARROW = 2.0**-12
+"""Width of the picture relative to the distance: what it shows varies by less than the noise."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """64 estimates of what one point shows: mean and standard error (3,), and the work they took.
+
+    `delta`: D; `virtual`: P. `pixels` (64, 3): the estimates of D themselves.
+    """
+
+    delta: np.ndarray
+    delta_error: np.ndarray
+    virtual: np.ndarray
+    virtual_error: np.ndarray
+    pixels: np.ndarray
+    counters: Mapping[str, int]
+
+
+def probe(
+    method: Method,
+    scene: Scene,
+    point: Sequence[float] | np.ndarray,
+    *,
+    normal: Sequence[float] = (0, 0, 1),
+    distance: float = 1.0,
+    spp: int = 256,
+    seed: int = 0,
+    settings: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> Probe:
+    """What the camera sees of `point` from `distance` along `normal`; `options` go to `estimate`."""
+    p = np.asarray(point, dtype=np.float64)
+    eye = p + np.asarray(normal, dtype=np.float64) * distance
+    camera = look_at(eye, p, width=SIDE, height=SIDE, focal=SIDE / _NARROW)
+    result = estimate(method, scene, camera, settings=settings, spp=spp, seed=seed, threads=1, **options)
+    delta, seen = result.developed.D.reshape(-1, 3), result.developed.P.reshape(-1, 3)
+    count = np.sqrt(len(delta))
+    return Probe(
+        delta.mean(axis=0),
+        delta.std(axis=0, ddof=1) / count,
+        seen.mean(axis=0),
+        seen.std(axis=0, ddof=1) / count,
+        delta,
+        result.counters,
+    )
+
+
+def judge(found: np.ndarray, error: np.ndarray, oracle: np.ndarray, tolerance: float) -> Measurement:
+    """Whether |found - oracle| stays within the tolerance plus four standard errors, everywhere."""
+    found, error, oracle = (np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in (found, error, oracle))
+    room = tolerance + SIGMAS * error
+    excess = np.abs(found - oracle) - room
+    worst = int(np.argmax(excess))
+    return Measurement(
+        passed=bool(np.all(np.isfinite(found)) and np.all(excess <= 0.0)),
+        measured=f"{found.flat[worst]:+.6f} (standard error {error.flat[worst]:.1e})",
+        oracle=f"{np.broadcast_to(oracle, found.shape).flat[worst]:+.6f}",
+        tolerance=f"{tolerance:g} + {SIGMAS:g} standard errors",
+    )

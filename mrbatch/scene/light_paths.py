@@ -1,0 +1,234 @@
+"""What methods that trace light paths share: the leg of a path, its weights and its end, for kernels.
+
+A *leg* is the radiance that leaves a surface point, by unidirectional path tracing among the objects of
+one ray set: at every vertex the environment is sampled and the surface scatters, with the balance
+heuristic between the two (Veach and Guibas, 1995). Its random numbers are those of its place on the
+path, so that two legs of the same length from the camera have common ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from mrbatch.device.rays import FAR, Engine, RaySet, rays
+from mrbatch.kernels.bsdf import make_bsdf
+from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.environment import make_environment
+from mrbatch.kernels.numerics import (
+    balance_heuristic_counts,
+    max_component,
+    offset_origin,
+    orthonormal_basis,
+    to_local,
+    to_world,
+)
+from mrbatch.kernels.rng import make_sampler
+from mrbatch.scene.scene_data import RECEIVE, SceneData, SurfacePoint, surface_point
+from mrbatch.scene.shading import PhotoReflectance, ShadingFlags, make_surface
+
+DIM_PIXEL = wp.constant(wp.int32(0))
+DIM_VERTEX = wp.constant(wp.int32(8))
+"""Dimensions of a vertex begin at this times the edges before it."""
+DIM_LIGHT = wp.constant(wp.int32(0))
+DIM_SCATTER = wp.constant(wp.int32(1))
+DIM_ROULETTE = wp.constant(wp.int32(2))
+ROULETTE_MOST = wp.constant(wp.float32(0.95))
+"""A path survives roulette at most this often, so that it ends even among white walls."""
+ROULETTE_LEAST = wp.constant(wp.float32(0.05))
+UNLIMITED = 1 << 20
+"""Edges that no path reaches."""
+
+
+@dataclass(frozen=True)
+class PathFlags:
+    """What a shot calls for on its light paths; each that is off leaves no code in a kernel."""
+
+    engine: Engine = "embree"
+    bsdf_kinds: frozenset[str] = frozenset({"diffuse"})
+    masking: str = "height-correlated"
+    camera_model: str = "perspective"
+    distortion: bool = False
+    interpolation: str = "bilinear"
+    sampler: str = "owen"
+    light_sampler: str = "median-cut"
+    strategy: str = "mis"
+    shading: ShadingFlags = ShadingFlags()
+    unreceptive: bool = False
+    """Some object takes no light change from virtual objects."""
+
+
+@wp.struct
+class PathNumbers:
+    """Numbers of the estimator. `max_edges`: longest path in edges, the camera's included.
+    `roulette_from`: edges from which roulette may end a path. `light_samples`: directions drawn from the
+    environment where the camera's ray ends."""
+
+    max_edges: wp.int32
+    roulette_from: wp.int32
+    light_samples: wp.int32
+
+
+def path_numbers(max_depth: int | None, roulette_depth: int, light_samples: int) -> Any:
+    """`PathNumbers`: a path that is cut at a length is cut there alone, never by roulette."""
+    numbers = PathNumbers()
+    numbers.max_edges = max_depth or UNLIMITED
+    numbers.roulette_from = UNLIMITED if max_depth else roulette_depth
+    numbers.light_samples = light_samples
+    return numbers
+
+
+@wp.struct
+class Leg:
+    """What a leg gathered, and the work it took."""
+
+    radiance: wp.vec3
+    shadow_rays: wp.int32
+    scatter_rays: wp.int32
+    lookups: wp.int32
+    vertices: wp.int32
+
+
+@dataclass(frozen=True)
+class PathFuncs:
+    """`wp.func`s of light paths.
+
+    `path(scene, photo, numbers, among, start, direction, edges, key, index) -> Leg`: the radiance that
+    leaves `start` against `direction`, traced among the objects of the ray set `among`; `edges`: those of
+    the path from the camera to `start`. `lights_at(numbers, edges)`: directions drawn from the
+    environment at a vertex. `light_weight(count, light_pdf, scatter_pdf)`: weight of one of them;
+    `scatter_weight(scatter_pdf, count, light_pdf)`: of the scattered direction. `survival(throughput,
+    edges, numbers)`: how probably the path goes on. `sample_light`: directions are drawn from the
+    environment at all.
+    """
+
+    path: Any
+    lights_at: Any
+    light_weight: Any
+    scatter_weight: Any
+    survival: Any
+    sample_light: bool
+
+
+def make_paths(flags: PathFlags) -> PathFuncs:
+    """The functions for these flags."""
+    trace, occluded = rays(flags.engine).trace, rays(flags.engine).occluded
+    bsdf = make_bsdf(flags.bsdf_kinds, masking=flags.masking)  # type: ignore[arg-type]
+    bsdf_evaluate, bsdf_pdf, bsdf_sample = bsdf.evaluate, bsdf.pdf, bsdf.sample
+    environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
+    env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
+    sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
+    sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
+    camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
+    surface_at = make_surface(flags.shading, camera).surface
+    sample_light = flags.strategy in ("mis", "environment")
+    weigh = flags.strategy == "mis"
+
+    @wp.func
+    def light_weight(count: int, light_pdf: float, scatter_pdf: float) -> float:
+        # Weight of one of `count` directions drawn from the environment.
+        n = float(count)
+        if wp.static(weigh):
+            return balance_heuristic_counts(n, light_pdf, 1.0, scatter_pdf) / n
+        return 1.0 / n
+
+    @wp.func
+    def scatter_weight(scatter_pdf: float, count: int, light_pdf: float) -> float:
+        if wp.static(weigh):
+            return balance_heuristic_counts(1.0, scatter_pdf, float(count), light_pdf)
+        return wp.where(wp.static(sample_light), 0.0, 1.0)
+
+    @wp.func
+    def lights_at(numbers: PathNumbers, edges: int) -> int:
+        # Where the camera's ray ends, several: what they find is seen directly.
+        return wp.where(edges == 1, numbers.light_samples, 1)
+
+    @wp.func
+    def survival(throughput: wp.vec3, edges: int, numbers: PathNumbers) -> float:
+        if edges < numbers.roulette_from:
+            return 1.0
+        return wp.clamp(max_component(throughput), ROULETTE_LEAST, ROULETTE_MOST)
+
+    @wp.func
+    def path(
+        scene: SceneData,
+        photo: PhotoReflectance,
+        numbers: PathNumbers,
+        among: RaySet,
+        start: SurfacePoint,
+        direction: wp.vec3,
+        edges_so_far: int,
+        key: wp.uint64,
+        index: int,
+    ) -> Leg:
+        """Radiance that leaves `start` against `direction`, traced among the objects of one ray set.
+
+        `edges_so_far`: edges of the path from the camera to `start`.
+        """
+        leg = Leg()
+        throughput = wp.vec3(1.0, 1.0, 1.0)
+        point = start
+        d = direction
+        edges = int(edges_so_far)
+        scene_set = among
+        while edges < numbers.max_edges:
+            leg.vertices += 1
+            dimension = DIM_VERTEX * edges
+            if wp.static(flags.unreceptive):
+                # Light that reaches such a point has not met virtual objects, nor will it before the sky.
+                if (scene.objects[point.object].flags & RECEIVE) == 0:
+                    scene_set = scene.real_set
+            surface = surface_at(scene, photo, point)
+            basis = orthonormal_basis(point.ns)
+            wo = to_local(basis, -d)
+            lights = lights_at(numbers, edges)
+            if wp.static(sample_light):
+                for number in range(lights):
+                    light = env_sample(
+                        scene.environment,
+                        sample_2d_bits(key, index * lights + number, dimension + DIM_LIGHT),
+                    )
+                    if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                        wi = to_local(basis, light.direction)
+                        value = bsdf_evaluate(surface, wo, wi)
+                        if max_component(value) > 0.0:
+                            leg.shadow_rays += 1
+                            o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                            if not occluded(scene_set, o, light.direction, FAR):
+                                leg.lookups += 1
+                                w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
+                                leg.radiance += (
+                                    wp.cw_mul(
+                                        wp.cw_mul(throughput, value),
+                                        env_radiance(scene.environment, light.direction),
+                                    )
+                                    * w
+                                )
+            drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
+            if max_component(drawn.weight) <= 0.0:
+                break
+            d = to_world(basis, drawn.wi)
+            if wp.dot(point.ng, d) <= 0.0:
+                break
+            throughput = wp.cw_mul(throughput, drawn.weight)
+            leg.scatter_rays += 1
+            o = offset_origin(point.p, point.ng, d, point.reach)
+            hit = trace(scene_set, o, d, FAR)
+            if hit.triangle < 0:
+                w = scatter_weight(drawn.pdf, lights, env_pdf(scene.environment, d))
+                if w > 0.0:
+                    leg.lookups += 1
+                    leg.radiance += wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
+                break
+            edges += 1
+            q = survival(throughput, edges, numbers)
+            if q < 1.0:
+                if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
+                    break
+                throughput = throughput / q
+            point = surface_point(scene, hit.triangle, hit.u, hit.v, d)
+        return leg
+
+    return PathFuncs(path, lights_at, light_weight, scatter_weight, survival, sample_light)
