@@ -160,7 +160,18 @@ class _Reader:
         """Events with limits and refusals applied before anything is built from them."""
         yaml = YAML(typ="rt", pure=True)
         depth = 0
-        for event in yaml.parse(self.text):
+        parsed = yaml.parse(self.text)
+        while True:
+            try:
+                event = next(parsed)
+            except StopIteration:
+                return
+            except YAMLError:
+                raise
+            except Exception as error:  # the library asserts, too, what a text may get wrong
+                raise JobErrors(
+                    [JobError(f"this is not valid YAML: {shorten(error, 200)}", place=Place(self.file))]
+                ) from None
             if isinstance(event, (MappingStartEvent, SequenceStartEvent)):
                 depth += 1
                 if depth > MAX_DEPTH:

@@ -132,3 +132,10 @@ def test_reads_what_another_writer_wrote(data):
     out = io.StringIO()
     YAML(typ="safe", pure=True).dump(data, out)
     assert read_document(out.getvalue(), "x").data == data
+
+
+@pytest.mark.parametrize(
+    "text", ["%YAML 1.3\n---\na: 1\n", "%YAML 1.9999999999\n---\na\n", "%YAML 3.0\n--- a\n"]
+)
+def test_versions_that_the_library_asserts_are_errors_like_others(text):
+    assert "not valid YAML" in errors_of(text)[0].message

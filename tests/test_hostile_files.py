@@ -273,6 +273,9 @@ def bomb_of_aliases() -> str:
         "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 100000\n   cols: 100000\n   dt: d\n   data: [ 1. ]\n",
         "%YAML:1.0\n---\nK: !!opencv-matrix\n   sizes: [ 100000, 100000 ]\n   dt: d\n   data: [ 1. ]\n",
         "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: -3\n   cols: 3\n   dt: d\n   data: [ 1. ]\n",
+        # More data than the sizes say: OpenCV's own reader of matrices writes past their end.
+        "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ 1., 2., 3., 4. ]\n",
+        "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: 4096d\n   data: [ 1. ]\n",
         "%YAML:1.0\n---\na: opencv-matrix\nb: " + DEEP,
         "%YAML:1.0\n---\na: opencv-matrix\nb:\n   " + "- " * 100_000,
         "<?xml version='1.0'?><opencv_storage>" + "<a>" * 100_000,
@@ -282,7 +285,7 @@ def bomb_of_aliases() -> str:
         "fx: 1\n" * 2,
         "x" * (5 << 20),
     ],
-    ids=range(15),
+    ids=range(17),
 )
 def test_hostile_calibrations(tmp_path, content):
     path = tmp_path / ("c.xml" if content.startswith("<") else "c.yaml")
