@@ -366,6 +366,11 @@ TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes() + np.ara
 ZEROS = {"componentType": 5126, "count": 10**10, "type": "VEC3"}
 
 
+FOURS = [{"buffer": 0, "byteLength": 48}, layout()["bufferViews"][1]]
+FOUR = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC4"}
+"""Positions of four numbers: three of them are as many numbers as four positions."""
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
@@ -375,6 +380,7 @@ ZEROS = {"componentType": 5126, "count": 10**10, "type": "VEC3"}
         ("a.glb", glb(layout(accessors=[{"bufferView": 0} | ZEROS]), TRIANGLE)),
         ("a.glb", glb(layout(accessors=[{"count": -1}]), TRIANGLE)),
         ("a.glb", glb(layout(accessors=3), TRIANGLE)),
+        ("a.glb", glb(layout(bufferViews=FOURS, accessors=[FOUR, layout()["accessors"][1]]), TRIANGLE)),
         ("a.glb", struct.pack("<4sII", b"glTF", 2, 1000) + struct.pack("<I4s", 2**32 - 1, b"JSON")),
         ("a.gltf", json.dumps(layout(buffers=[{"uri": "../secret.bin", "byteLength": 48}])).encode()),
         ("a.gltf", json.dumps(layout(buffers=[{"uri": "%2e%2e/secret.bin", "byteLength": 48}])).encode()),
@@ -391,7 +397,7 @@ ZEROS = {"componentType": 5126, "count": 10**10, "type": "VEC3"}
             b"property list uchar int vertex_indices\nend_header\n" + bytes(64),
         ),
     ],
-    ids=range(16),
+    ids=range(17),
 )
 def test_hostile_meshes(tmp_path, name, content):
     folder = tmp_path / "meshes"

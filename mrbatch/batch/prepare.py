@@ -27,8 +27,10 @@ from mrbatch.film.exr import choose_colour_type
 from mrbatch.film.layers import needs
 from mrbatch.film.window import Window
 from mrbatch.job.confine import check_confined
+from mrbatch.job.files import there
 from mrbatch.job.model import Job
 from mrbatch.job.naming import tells_where_named
+from mrbatch.job.paths import job_paths
 from mrbatch.job.resolve import pixel_relevant, placeless
 from mrbatch.scene.build import build_scene, scene_files
 from mrbatch.scene.camera import Camera
@@ -140,6 +142,8 @@ def look_at(job: Job, capture: Capture, timing: TimingNode, progress: Progress =
     with timing.measure("open"):
         files = [Path(p) for p in capture.inputs()]
         files += scene_files(job.environment, job.real, job.virtual)
+        paths = [path for loc, path, _ in job_paths(job) if loc[0] in ("method", "participants")]
+        files += [file for path in paths for file in there(path)]
     # Patterns and meshes name files that the job's own paths do not tell.
     check_confined(files, job.fence)
     with timing.measure("hash inputs"):

@@ -134,8 +134,14 @@ def _read(path: Path, suffix: str, place: Place, pictures: bool) -> list[tuple[A
 
 
 def _from_trimesh(part: Any, matrix: np.ndarray, suffix: str, place: Place) -> Mesh:
-    vertices = np.array(part.vertices, dtype=np.float64).reshape(-1, 3)
-    faces = np.asarray(part.faces).reshape(-1, 3)
+    vertices, faces = np.array(part.vertices, dtype=np.float64), np.asarray(part.faces)
+    if vertices.size and vertices.shape[1:] != (3,) or faces.size and faces.shape[1:] != (3,):
+        raise InputError(
+            f"the mesh's positions have the shape {vertices.shape}, its faces {faces.shape}; expected (n, 3)",
+            place=place,
+            hint="the file is damaged: export it again",
+        )
+    vertices, faces = vertices.reshape(-1, 3), faces.reshape(-1, 3)
     if len(faces) > MAX_TRIANGLES:
         raise ResourceError(f"the mesh has {len(faces)} triangles, more than {MAX_TRIANGLES}", place=place)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):

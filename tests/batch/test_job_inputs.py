@@ -9,11 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import Field
 from small_job import CRATE, codes, frames_in, write_job, write_picture
 
 from mrbatch.batch.job_run import plan_job, render_job
+from mrbatch.contracts import Participant, Pipeline
 from mrbatch.errors import InputError, JobErrors
 from mrbatch.job import check_files, load_job
+from mrbatch.methods.registry import PARTICIPANTS
+from mrbatch.quantities import InputPath, Settings
 
 
 def apart(folder: Path) -> Path:
@@ -151,6 +155,21 @@ def test_a_patch_frame_that_is_not_there_is_still_named(tmp_path, number):
     path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(InputError, match="names a frame that is not there"):
         plan_job(load_job(path))
+
+
+def test_the_files_of_participants_are_inputs(tmp_path):
+    class Smoke(Settings):
+        grid: InputPath = Field(description="A file")
+
+    smoke = Participant("toy-smoke", "a toy", Smoke, lambda *_: Pipeline())
+    (tmp_path / "smoke.vdb").write_bytes(b"one")
+    hashes = []
+    with PARTICIPANTS.registered("toy-smoke", smoke):
+        path = write_job(tmp_path, (0,), participants=[{"type": "toy-smoke", "grid": "smoke.vdb"}])
+        for content in (b"one", b"two"):
+            (tmp_path / "smoke.vdb").write_bytes(content)
+            hashes.append(plan_job(load_job(path)).job_hash)
+    assert len(set(hashes)) == 2
 
 
 @pytest.fixture
