@@ -10,13 +10,15 @@ if TYPE_CHECKING:
     from mrbatch.batch.job_run import render_job as render
     from mrbatch.capture.marker_video.board import make_board
     from mrbatch.capture.marker_video.bracket_merge import merge_hdr
+    from mrbatch.capture.marker_video.calibrate import calibrate_camera
     from mrbatch.job import load_job
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "load_job", "make_board", "merge_hdr", "plan", "render"]
+__all__ = ["__version__", "calibrate_camera", "load_job", "make_board", "merge_hdr", "plan", "render"]
 
 _HOMES = {
+    "calibrate_camera": ("mrbatch.capture.marker_video.calibrate", "calibrate_camera"),
     "load_job": ("mrbatch.job", "load_job"),
     "make_board": ("mrbatch.capture.marker_video.board", "make_board"),
     "merge_hdr": ("mrbatch.capture.marker_video.bracket_merge", "merge_hdr"),

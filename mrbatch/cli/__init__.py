@@ -34,6 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "metrics": ("mrbatch.cli.metrics:command", "Compare pictures with a reference."),
     "report": ("mrbatch.cli.report:command", "Draw the report of a rendered job."),
     "board": ("mrbatch.cli.board:command", "Make a marker or a board to print."),
+    "calibrate": ("mrbatch.cli.calibrate:command", "Find a camera's intrinsics from pictures of a board."),
     "merge-hdr": ("mrbatch.cli.merge_hdr:command", "Merge an exposure bracket into an HDR map."),
     "info": ("mrbatch.cli.info:command", "Print what an EXR frame says of itself."),
     "schema": ("mrbatch.cli.schema:command", "Print the JSON Schema or the manual of the job file."),
