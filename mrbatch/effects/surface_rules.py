@@ -38,6 +38,13 @@ def _textures(facts: ShotFacts) -> Verdict:
     return needed("textured surfaces", objects=len(textured))
 
 
+def _normal_maps(facts: ShotFacts) -> Verdict:
+    mapped = [o for o in facts.scene.objects if o.material.normal_texture is not None]
+    if not mapped:
+        return absent("no surface has a normal map")
+    return needed("surfaces with a normal map", objects=len(mapped))
+
+
 def _holdout(facts: ShotFacts) -> Verdict:
     if not any(o.holdout for o in facts.scene.objects):
         return absent("no object is a holdout")
@@ -82,6 +89,7 @@ def _receive(facts: ShotFacts) -> Verdict:
 VIRTUAL = Rule("virtual", "what the camera sees of virtual objects", _virtual)
 GLOSSY = Rule("glossy", "glossy reflection", _glossy)
 TEXTURES = Rule("textures", "reflectance that varies over a surface", _textures)
+NORMAL_MAPS = Rule("normal-maps", "shading normals from a map", _normal_maps)
 HOLDOUT = Rule("holdout", "objects that show the photo, untouched, and hide virtual ones", _holdout)
 DISTORTION = Rule("lens-distortion", "distortion of the lens on the virtual layer", _distortion)
 ENVIRONMENT = Rule("environment-light", "light from the environment map", _environment)

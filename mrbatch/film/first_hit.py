@@ -100,7 +100,8 @@ def _make_kernel(
     camera_ray, camera_project = camera.ray, camera.project
     sample_2d = make_sampler("owen").sample_2d
     offset = make_pixel_filter(pixel_filter)  # type: ignore[arg-type]
-    surface_at = make_surface(shading, camera).surface
+    surfaces = make_surface(shading, camera)
+    surface_at, normal_at = surfaces.surface, surfaces.normal
 
     @wp.kernel(enable_backward=False, module="unique")
     def first_hit(
@@ -141,7 +142,7 @@ def _make_kernel(
                         if wp.static(wants.depth):
                             depth = wp.min(depth, camera_project(frame.camera, point.p)[2])
                         if wp.static(wants.normal):
-                            normal += point.ns * weight
+                            normal += normal_at(scene, point, -primary.direction) * weight
                         if wp.static(wants.albedo):
                             albedo += surface_at(scene, frame.photo, point).reflectance * weight
                         if wp.static(wants.motion):
@@ -201,8 +202,11 @@ def first_hit_pass(
     wants = wanted(outputs)
     if not wants.any:
         return None
-    if not wants.albedo:
-        shading = ShadingFlags()
+    shading = ShadingFlags(
+        textures=shading.textures and wants.albedo,
+        photo=shading.photo and wants.albedo,
+        normal_maps=shading.normal_maps and wants.normal,
+    )
     kernel = _make_kernel(wants, scene.engine, view.model, distortion, pixel_filter, shading)
     return pixel_pass(
         f"first hits {view.name}".strip(),

@@ -52,7 +52,10 @@ def camera_path_flags(
         "light_sampler": light.light_sampler if settings.light_sampler == "auto" else settings.light_sampler,
         "strategy": settings.strategy if on("environment-light") else "bsdf",
         "shading": ShadingFlags(
-            textures=on("textures"), photo=on("photo-reflectance"), principled="principled" in kinds
+            textures=on("textures"),
+            photo=on("photo-reflectance"),
+            principled="principled" in kinds,
+            normal_maps=on("normal-maps"),
         ),
         "unreceptive": on("receive-switch"),
         "pixel_filter": settings.pixel_filter,

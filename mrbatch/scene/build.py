@@ -111,7 +111,7 @@ def _as_its_file_says(item: given.VirtualObject, path: Path) -> list[tuple[Scene
         name = str(getattr(parts[0].material, "name", None) or "")
         notes = (f"{path.name}: {', '.join(left_out)} of its material left out",) if left_out else ()
         if mesh.uvs is None:
-            material = replace(material, texture=None, surface_texture=None)
+            material = replace(material, texture=None, surface_texture=None, normal_texture=None)
         material = replace(material, name=name or item.name)
         found.append((_object(item, material, mesh, virtual=True, holdout=item.holdout), notes))
     return found

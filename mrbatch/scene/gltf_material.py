@@ -43,6 +43,12 @@ def material_from_gltf(found: Any, place: Place) -> tuple[Material, tuple[str, .
         pixels[..., 1] = surface[..., 2] / np.float32(255.0) * metalness
         surface_texture = Texture(pixels, f"{place.file}, roughness and metalness")
         alpha, metalness, _ = pixels.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+    normals = _picture(getattr(found, "normalTexture", None), "normal", place)
+    normal_texture = None
+    if normals is not None:
+        # Codes 0..255 are -1..1; trimesh does not tell the factor on x and y, which is rarely other than 1.
+        vectors = normals.astype(np.float32) * np.float32(2.0 / 255.0) - np.float32(1.0)
+        normal_texture = Texture(vectors, f"{place.file}, normals")
     r, g, b = (float(c) for c in reflectance)
     material = Material(
         kind="principled",
@@ -52,14 +58,13 @@ def material_from_gltf(found: Any, place: Place) -> tuple[Material, tuple[str, .
         metalness=float(metalness),
         f0=F0,
         surface_texture=surface_texture,
+        normal_texture=normal_texture,
     )
     return material, _left_out(found)
 
 
 def _left_out(found: Any) -> tuple[str, ...]:
     parts = []
-    if getattr(found, "normalTexture", None) is not None:
-        parts.append("normal map")
     emits = getattr(found, "emissiveFactor", None)
     if emits is not None and np.any(np.asarray(emits) > 0):
         parts.append("emission")

@@ -122,7 +122,8 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
-    surface_at = make_surface(flags.shading, camera).surface
+    surfaces = make_surface(flags.shading, camera)
+    surface_at, normal_at = surfaces.surface, surfaces.normal
     sample_light = flags.strategy in ("mis", "environment")
     weigh = flags.strategy == "mis"
 
@@ -181,6 +182,8 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                 if (scene.objects[point.object].flags & RECEIVE) == 0:
                     scene_set = scene.real_set
             surface = surface_at(scene, photo, point)
+            if wp.static(flags.shading.normal_maps):
+                point.ns = normal_at(scene, point, -d)
             basis = orthonormal_basis(point.ns)
             wo = to_local(basis, -d)
             lights = lights_at(numbers, edges)

@@ -30,7 +30,8 @@ class Material:
     linear in 0..1; `texture` multiplies in place of it. `alpha`: GGX roughness. `from_photo`: the diffuse
     reflectance of a real surface is what the photo and the light say it is. `name`: what masks by material
     call it; empty: as its object. `metalness`, `f0` and `edge` (3,) as in `kernels.bsdf.Surface`.
-    `surface_texture`: alpha in red and metalness in green, in place of the two.
+    `surface_texture`: alpha in red and metalness in green, in place of the two. `normal_texture`: shading
+    normals in the frame of u, v and the surface's own, of any length.
     """
 
     kind: str = "diffuse"
@@ -43,6 +44,7 @@ class Material:
     f0: float = 0.0
     edge: tuple[float, float, float] = (1.0, 1.0, 1.0)
     surface_texture: Texture | None = None
+    normal_texture: Texture | None = None
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ class ObjectData:
     f0: wp.float32
     edge: wp.vec3
     surface_texture: wp.int32
+    normal_texture: wp.int32
 
 
 @wp.struct
@@ -187,6 +188,10 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
         if item.material.surface_texture is not None:
             entry.surface_texture = len(textures)
             textures.append(item.material.surface_texture.pixels)
+        entry.normal_texture = -1
+        if item.material.normal_texture is not None:
+            entry.normal_texture = len(textures)
+            textures.append(item.material.normal_texture.pixels)
         objects.append(entry)
     if n_triangles > MAX_TRIANGLES:
         raise InputError(f"{n_triangles} triangles are more than {MAX_TRIANGLES}")

@@ -38,20 +38,58 @@ class ShadingFlags:
     textures: bool = False
     photo: bool = False
     principled: bool = False
+    normal_maps: bool = False
 
 
 @dataclass(frozen=True)
 class SurfaceFuncs:
-    """Three `wp.func`s of (scene, photo, point).
+    """Three `wp.func`s of (scene, photo, point), and `normal` of (scene, point, towards the viewer).
 
     `surface` -> Surface: all scattering properties. `bare` -> Surface: the same with reflectance 1, and
     `reflectance` -> vec3, for a caller who finds out first whether it is needed: textures are large, and
-    a look-up costs as much as a short ray.
+    a look-up costs as much as a short ray. `normal` -> vec3: the shading normal, which a map may bend.
     """
 
     surface: Any
     bare: Any
     reflectance: Any
+    normal: Any
+
+
+@wp.func
+def bent_normal(scene: SceneData, point: SurfacePoint, viewer: wp.vec3, local: wp.vec3) -> wp.vec3:
+    """The shading normal whose parts along u, v and the surface's own normal are `local` (any length).
+
+    The frame is the triangle's: u and v as they grow over it, u made square with the shading normal. A
+    normal that would turn away from the viewer is bent only as far as it can be seen.
+    """
+    c = scene.corners[point.triangle]
+    e1 = scene.vertices[c[1]] - scene.vertices[c[0]]
+    e2 = scene.vertices[c[2]] - scene.vertices[c[0]]
+    t1 = scene.uvs[c[1]] - scene.uvs[c[0]]
+    t2 = scene.uvs[c[2]] - scene.uvs[c[0]]
+    area = t1[0] * t2[1] - t2[0] * t1[1]
+    # The map stands on the outside; seen from inside, all of it is turned over.
+    outward = wp.where(wp.dot(point.ng, scene.facets[point.triangle]) < 0.0, -1.0, 1.0)
+    n = point.ns * outward
+    along = (e1 * t2[1] - e2 * t1[1]) * wp.sign(area)
+    along = along - n * wp.dot(n, along)
+    length = wp.length(along)
+    if area == 0.0 or length == 0.0:
+        return point.ns
+    along = along / length
+    across = wp.cross(n, along)
+    up = (e2 * t1[0] - e1 * t2[0]) * wp.sign(area)
+    if wp.dot(across, up) < 0.0:
+        across = -across
+    bent = wp.normalize(along * local[0] + across * local[1] + n * local[2]) * outward
+    before = wp.dot(point.ns, viewer)
+    after = wp.dot(bent, viewer)
+    if before <= 0.0:
+        return point.ns
+    if after <= 0.0:
+        bent = wp.normalize(point.ns + (bent - point.ns) * (0.9 * before / (before - after)))
+    return bent
 
 
 def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> SurfaceFuncs:
@@ -105,4 +143,14 @@ def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> SurfaceFuncs:
                 surface.metalness = look[1]
         return surface
 
-    return SurfaceFuncs(surface_at, bare_at, reflectance_at)
+    @wp.func
+    def normal_at(scene: SceneData, point: SurfacePoint, viewer: wp.vec3) -> wp.vec3:
+        result = point.ns
+        if wp.static(flags.normal_maps):
+            found = scene.objects[point.object].normal_texture
+            if found >= 0:
+                local = sample_texture(scene.textures, found, texture_coordinates(scene, point))
+                result = bent_normal(scene, point, viewer, local)
+        return result
+
+    return SurfaceFuncs(surface_at, bare_at, reflectance_at, normal_at)

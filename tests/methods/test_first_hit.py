@@ -33,7 +33,7 @@ def layers(objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window
     view = ViewOutput("", 0, window)
     outputs = Outputs((view,), needs, 0, engine)
     scene = upload(scene_of(objects), engine)
-    step = first_hit_pass(scene, view, outputs, ShadingFlags(textures=True), False, "box")
+    step = first_hit_pass(scene, view, outputs, ShadingFlags(textures=True, normal_maps=True), False, "box")
     pipeline = Pipeline(
         finish=(step,),
         buffers=first_hit_buffers(view, outputs),
@@ -159,6 +159,13 @@ def test_albedo_is_the_texture():
     assert camera().world_from_camera[0, 0] == 1.0
     assert found["albedo"][10, 7, 0] == pytest.approx(0.175, abs=0.005)
     assert found["albedo"][10, 16, 0] == pytest.approx(0.825, abs=0.005)
+
+
+def test_the_normal_layer_shows_the_map():
+    tilt = np.array([0.6, 0.0, 0.8], np.float32)
+    item = replace(card(2.0), material=Material(normal_texture=Texture(tilt[None, None])))
+    found = layers([item], camera())
+    np.testing.assert_allclose(found["normal"][10, 12], tilt, atol=1e-6)
 
 
 def test_tiles_that_are_left_out_hold_nothing():

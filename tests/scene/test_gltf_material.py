@@ -106,8 +106,15 @@ def test_each_material_is_an_object_of_the_same_name(tmp_path):
 
 
 def test_what_is_left_out_is_told(tmp_path):
-    path = write(tmp_path / "a.glb", one=card(normalTexture=picture(COLOURS), emissiveFactor=[1.0, 0.5, 0.0]))
-    assert built(path).notes == ("a.glb: normal map, emission of its material left out",)
+    path = write(tmp_path / "a.glb", one=card(alphaMode="BLEND", emissiveFactor=[1.0, 0.5, 0.0]))
+    assert built(path).notes == ("a.glb: emission, transparency of its material left out",)
+
+
+def test_normal_maps_are_vectors(tmp_path):
+    codes = np.array([[[128, 128, 255], [255, 128, 128]]], np.uint8)
+    (item,) = built(write(tmp_path / "a.glb", one=card(normalTexture=picture(codes)))).objects
+    found = item.material.normal_texture.pixels
+    np.testing.assert_allclose(found, [[[0, 0, 1], [1, 0, 0]]], atol=1.01 / 255)
 
 
 def test_a_damaged_texture_is_refused(tmp_path):

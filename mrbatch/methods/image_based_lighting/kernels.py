@@ -67,7 +67,8 @@ def make_kernel(flags: Flags) -> Any:
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_2d, sample_2d_bits = sampler.sample_2d, sampler.sample_2d_bits
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
-    surface_at = make_surface(flags.shading, camera).surface
+    surfaces = make_surface(flags.shading, camera)
+    surface_at, normal_at = surfaces.surface, surfaces.normal
     sample_light = flags.strategy in ("mis", "environment")
     sample_scatter = flags.strategy in ("mis", "bsdf")
     weigh = flags.strategy == "mis"
@@ -110,6 +111,8 @@ def make_kernel(flags: Flags) -> Any:
                     covered = 1.0
                     vertices += 1
                     surface = surface_at(scene, frame.photo, point)
+                    if wp.static(flags.shading.normal_maps):
+                        point.ns = normal_at(scene, point, -primary.direction)
                     basis = orthonormal_basis(point.ns)
                     wo = to_local(basis, -primary.direction)
                     if wp.static(sample_light):

@@ -39,7 +39,11 @@ def make_flags(
         else settings.light_sampler,
         pixel_filter=settings.pixel_filter,
         strategy=settings.strategy,
-        shading=ShadingFlags(textures=plan.on("textures"), principled="principled" in kinds),
+        shading=ShadingFlags(
+            textures=plan.on("textures"),
+            principled="principled" in kinds,
+            normal_maps=plan.on("normal-maps"),
+        ),
         occlusion=plan.on("occlusion"),
     )
 

@@ -57,7 +57,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
-    surface_at = make_surface(flags.shading, camera).surface
+    surfaces = make_surface(flags.shading, camera)
+    surface_at, normal_at = surfaces.surface, surfaces.normal
     paths = make_paths(flags)
     path, lights_at, survival = paths.path, paths.lights_at, paths.survival
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
@@ -94,6 +95,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                 if (scene.objects[point.object].flags & RECEIVE) == 0:
                     mixed_set = scene.real_set
             surface = surface_at(scene, photo, point)
+            if wp.static(flags.shading.normal_maps):
+                point.ns = normal_at(scene, point, -d)
             basis = orthonormal_basis(point.ns)
             wo = to_local(basis, -d)
             lights = lights_at(numbers, edges)
