@@ -70,13 +70,16 @@ def _show(report: CalibrationReport) -> None:
     table = Table()
     table.add_column("")
     table.add_column("value", justify="right")
-    table.add_column("+-", justify="right")
+    table.add_column("+- (corners)", justify="right")
+    table.add_column("+- (views)", justify="right")
     values = (fit.matrix[0, 0], fit.matrix[1, 1], fit.matrix[0, 2], fit.matrix[1, 2])
-    for name, value, sigma in zip(("fx (px)", "fy (px)", "cx (px)", "cy (px)"), values, fit.sigma):
-        table.add_row(name, f"{value:.2f}", f"{sigma:.2f}")
+    titles = ("fx (px)", "fy (px)", "cx (px)", "cy (px)")
+    for name, value, sigma, views in zip(titles, values, fit.sigma, fit.sigma_views):
+        table.add_row(name, f"{value:.2f}", f"{sigma:.2f}", f"{views:.2f}")
     names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    for name, value, sigma in zip(names, fit.distortion, fit.sigma_distortion):
-        table.add_row(name, f"{value:.5f}", f"{sigma:.5f}")
+    lens = zip(names, fit.distortion, fit.sigma_distortion, fit.sigma_views_distortion)
+    for name, value, sigma, views in lens:
+        table.add_row(name, f"{value:.5f}", f"{sigma:.5f}", f"{views:.5f}")
     console = Console()
     console.print(table)
     corners = sum(len(v.points) for v in fit.views)

@@ -136,6 +136,8 @@ def _content(fit: CalibrationFit) -> dict[str, Any]:
         "distortion": [float(d) for d in fit.distortion],
         "sigma": dict(zip(("fx", "fy", "cx", "cy"), (float(s) for s in fit.sigma))),
         "sigma_distortion": [float(s) for s in fit.sigma_distortion],
+        "sigma_views": dict(zip(("fx", "fy", "cx", "cy"), (float(s) for s in fit.sigma_views))),
+        "sigma_views_distortion": [float(s) for s in fit.sigma_views_distortion],
         "rms_px": fit.rms,
         "views": len(fit.views),
         "corners": int(sum(len(v.points) for v in fit.views)),
@@ -150,11 +152,14 @@ def calibration_text(fit: CalibrationFit) -> str:
             return "{" + ", ".join(f"{k}: {told(v)}" for k, v in value.items()) + "}"
         if isinstance(value, list):
             return "[" + ", ".join(told(v) for v in value) + "]"
-        return np.format_float_positional(value, 6, trim="0") if isinstance(value, float) else str(value)
+        if not isinstance(value, float):
+            return str(value)
+        return np.format_float_positional(value, 6, trim="0") if np.isfinite(value) else "null"
 
     lines = [
         "# Camera calibration: fx, fy, cx, cy in pixels, distortion as OpenCV's k1 k2 p1 p2 k3 k4 k5 k6,",
-        "# sigma: standard deviations. The centre of the first pixel is (0, 0), as in OpenCV.",
+        "# sigma: standard deviations of the fit, sigma_views: from leaving out views. The first pixel's centre",
+        "# is (0, 0), as in OpenCV.",
     ]
     lines += [f"{key}: {told(value)}" for key, value in _content(fit).items()]
     return "\n".join(lines) + "\n"

@@ -26,13 +26,19 @@ REACH = 0.75
 TILT = 20.0
 """Degrees between board and picture from which the focal length shows."""
 _CELLS = (8, 6)
+_GROUPS = 20
+OWN_ERRORS = 2.0
+"""How much larger than the least squares' the views' standard deviation is where views err as a whole."""
 
 
 @dataclass(frozen=True)
 class CalibrationFit:
     """`matrix` (3, 3), pixel centres at integers as OpenCV counts; `distortion` (0, 4, 5 or 8,).
 
-    `sigma` (4,): standard deviations of fx fy cx cy in pixels, `sigma_distortion` those of the coefficients.
+    `sigma` (4,): standard deviations of fx fy cx cy in pixels, `sigma_distortion` those of the coefficients,
+    as the least squares state them: true where corners err one by one. `sigma_views`,
+    `sigma_views_distortion`: the same from how the fit changes without some of the views; larger where each
+    view has an error of its own, as from a bent board, a rolling shutter or a focus that moves.
     `rms`: reprojection error in pixels. `views`: those used, with `residuals` (n, 2) pixels each, seen less
     predicted, and `tilts` in degrees. `dropped`: views that did not fit, by name with their error;
     `dropped_corners`: how many corners did not.
@@ -47,6 +53,8 @@ class CalibrationFit:
     views: tuple[View, ...]
     residuals: tuple[np.ndarray, ...]
     tilts: tuple[float, ...]
+    sigma_views: np.ndarray
+    sigma_views_distortion: np.ndarray
     dropped: tuple[tuple[str, float], ...] = ()
     dropped_corners: int = 0
 
@@ -74,7 +82,39 @@ def fit_calibration(
     kept, lost = _fitting_corners(second)
     tried = [_fit(kept, size, n) for n in (AUTOMATIC if coefficients is None else (coefficients,))]
     best = min([t for t in tried if not folds(t)] or tried[:1], key=_information)
-    return replace(best, dropped=dropped, dropped_corners=lost)
+    spread = _jackknife(best, kept, coefficients=_coefficients(best))
+    return replace(
+        best,
+        dropped=dropped,
+        dropped_corners=lost,
+        sigma_views=spread[:4],
+        sigma_views_distortion=spread[4:],
+    )
+
+
+def _coefficients(fit: CalibrationFit) -> int:
+    """Which of `MODELS` a fit has."""
+    if len(fit.distortion) == 4:
+        return 4 if np.any(fit.distortion[2:]) else 2
+    return len(fit.distortion)
+
+
+def _jackknife(fit: CalibrationFit, views: Sequence[View], coefficients: int) -> np.ndarray:
+    """(4 + coefficients,) standard deviations from fits that leave out a group of views each.
+
+    Delete-a-group jackknife: sigma^2 = (g - 1) / g sum (x_i - mean x)^2. NaN where too few views are left.
+    """
+    groups = min(len(views), _GROUPS)
+    found = []
+    for group in range(groups):
+        rest = [v for i, v in enumerate(views) if i % groups != group]
+        if len(rest) < MIN_VIEWS:
+            return np.full(4 + len(fit.distortion), np.nan)
+        k = (part := _fit(rest, fit.size, coefficients)).matrix
+        found.append([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *part.distortion])
+    values = np.array(found)
+    squares = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+    return np.sqrt((groups - 1) / groups * squares)
 
 
 def _flags(coefficients: int) -> int:
@@ -122,6 +162,8 @@ def _fit(views: Sequence[View], size: tuple[int, int], coefficients: int) -> Cal
         tuple(views),
         tuple(residuals),
         tuple(tilts),
+        np.full(4, np.nan),
+        np.full(length, np.nan),
     )
 
 
@@ -214,7 +256,14 @@ def weaknesses(fit: CalibrationFit, seen: Coverage) -> list[str]:
         )
     if folds(fit):
         told.append("the lens folds back within the picture: give fewer coefficients, --distortion 2")
-    relative = float(max(fit.sigma[0] / fit.matrix[0, 0], fit.sigma[1] / fit.matrix[1, 1]))
+    ratio = float(np.nanmedian(fit.sigma_views / fit.sigma)) if np.isfinite(fit.sigma_views).any() else 1.0
+    if ratio > OWN_ERRORS:
+        told.append(
+            f"the views disagree {ratio:.1f} times more than their corners' noise explains: count on the "
+            "larger +-; is the board flat, the focus fixed, the picture unstabilised, the motion slow?"
+        )
+    sigma = np.fmax(fit.sigma, fit.sigma_views)
+    relative = float(max(sigma[0] / fit.matrix[0, 0], sigma[1] / fit.matrix[1, 1]))
     if relative > 0.005:
         told.append(f"the focal length is known to {100 * relative:.1f} % only")
     if fit.rms > 1.0:
