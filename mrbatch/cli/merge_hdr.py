@@ -60,6 +60,7 @@ class Times(click.ParamType):
 @click.option(
     "--dtype", "number_type", type=click.Choice(["auto", "half", "float"]), default="auto", show_default=True
 )
+@click.option("--width", type=click.IntRange(min=1), help="Make the map smaller, by area, in linear light.")
 @click.option("--json", "json_file", type=_FILE, help="Write the account of all shots as JSON.")
 def command(pictures: tuple[Path, ...], json_file: Path | None, **options: Any) -> None:
     """Merge an exposure bracket, 8-bit JPEG or PNG or 16-bit PNG or TIFF, into a linear EXR map.

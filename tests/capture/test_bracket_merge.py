@@ -94,6 +94,16 @@ def test_a_sun_beyond_half(tmp_path):
     assert found[20:24, 120:124].mean() == pytest.approx(1e5, rel=0.01)
 
 
+def test_a_smaller_map_keeps_the_light(tmp_path, radiance):
+    _, whole, _ = merge(nine(tmp_path, radiance), tmp_path, times=TIMES)
+    report, small, flags = merge(nine(tmp_path, radiance), tmp_path, times=TIMES, width=64)
+    assert small.shape == (32, 64, 3) == (report.height, report.width, 3) and flags["ghost"].shape == (32, 64)
+    blocks = whole.reshape(32, 3, 64, 3, 3).mean(axis=(1, 3))
+    assert np.abs(small / blocks - 1.0).max() < 1e-3  # halves
+    with pytest.raises(JobError, match="can only become smaller"):
+        merge(nine(tmp_path, radiance), tmp_path, times=TIMES, width=400)
+
+
 # What is wrong with brackets.
 
 

@@ -128,6 +128,9 @@ def _exposure_tags(spec: Any) -> dict[str, float]:
             if isinstance(value, (int, float)) and 0.0 < value < 1e9:
                 found[key] = float(value)
                 break
+    apex = spec.getattribute("Exif:ShutterSpeedValue")
+    if "time" not in found and isinstance(apex, (int, float)) and -20.0 < apex < 20.0:
+        found["time"] = 2.0**-apex
     return found
 
 

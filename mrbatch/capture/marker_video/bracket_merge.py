@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -76,15 +76,16 @@ def merge_hdr(
     align: Align = "correct",
     ghosts: bool = True,
     number_type: NumberType = "auto",
+    width: int | None = None,
 ) -> MergeReport:
     """Merges an exposure bracket (8-bit JPEG or PNG, 16-bit PNG or TIFF) into a linear EXR.
 
     `times`: seconds of each picture, else EXIF's, else relative. Exposures are measured in the pictures
     and checked against these. `curve`: auto (sRGB unless tagged linear), srgb, bt709, gamma22, linear, or
-    recover. Radiance 1 is what full scale shows in one second (relative: in the best
-    exposed shot). Raises
-    JobError: wrong arguments; InputError: pictures that cannot be merged; ResourceError: no room for the
-    file.
+    recover. `width`: of the map, smaller than the pictures' (by area, in linear light).
+
+    Radiance 1 is what full scale shows in one second (relative: in the best exposed shot). Raises JobError:
+    wrong arguments; InputError: pictures that cannot be merged; ResourceError: no room for the file.
     """
     paths, target = [Path(p) for p in pictures], Path(output)
     _check_arguments(paths, target, times)
@@ -113,6 +114,9 @@ def merge_hdr(
     radiance = merge_opencv(codes, response, fit.seconds, method) if plain else merged.radiance
     radiance = np.maximum(to_rec709(radiance, bracket.rec709_from_source), np.float32(0.0))
     _judge_pixels(merged, warnings)
+    masks = {"clipped": merged.clipped, "dark": merged.dark, "ghost": merged.ghosts}
+    if width is not None:
+        radiance, masks = _smaller(radiance, masks, width)
     kind, reason = choose_number_type(radiance) if number_type == "auto" else (number_type, "as asked")
     notes.append(f"{kind}: {reason}")
     accounts = _accounts(shots, tagged, fit, shifts, merged, bracket.clip)
@@ -134,7 +138,6 @@ def merge_hdr(
         warnings=tuple(warnings),
         notes=tuple(notes),
     )
-    masks = {"clipped": merged.clipped, "dark": merged.dark, "ghost": merged.ghosts}
     about = {key: value for key, value in report.as_dict().items() if key != "output"}
     write_map(target, radiance, masks, about, kind)
     return report
@@ -259,6 +262,23 @@ def _majority(shifts: Sequence[Shift]) -> Shift:
 
     # The first of equals is preferred to be unmoved.
     return max(shifts, key=lambda s: (company(s), s.length == 0.0))
+
+
+def _smaller(
+    radiance: np.ndarray, masks: Mapping[str, np.ndarray], width: int
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Area averages at the width; a mask holds where any pixel of the area has it. Raises JobError."""
+    import cv2
+
+    old_height, old_width = radiance.shape[:2]
+    if not 1 <= width <= old_width:
+        raise JobError(f"a map {width} pixels wide of pictures of {old_width}: it can only become smaller")
+    size = (width, max(1, round(old_height * width / old_width)))
+
+    def shrunk(values: np.ndarray) -> np.ndarray:
+        return cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+
+    return shrunk(radiance), {name: shrunk(m.astype(np.float32)) > 1e-6 for name, m in masks.items()}
 
 
 def _judge_pixels(merged: Merged, warnings: list[str]) -> None:

@@ -158,8 +158,8 @@ def calibration_text(fit: CalibrationFit) -> str:
 
     lines = [
         "# Camera calibration: fx, fy, cx, cy in pixels, distortion as OpenCV's k1 k2 p1 p2 k3 k4 k5 k6,",
-        "# sigma: standard deviations of the fit, sigma_views: from leaving out views. The first pixel's centre",
-        "# is (0, 0), as in OpenCV.",
+        "# sigma: standard deviations of the fit, sigma_views: from leaving out views.",
+        "# The centre of the first pixel is (0, 0), as in OpenCV.",
     ]
     lines += [f"{key}: {told(value)}" for key, value in _content(fit).items()]
     return "\n".join(lines) + "\n"

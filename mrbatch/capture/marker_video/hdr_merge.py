@@ -15,8 +15,8 @@ import numpy as np
 
 from mrbatch.capture.marker_video.response_curve import ResponseCurve
 
-BAND = 256
-"""Rows merged at a time: a bracket of nine 18-megapixel shots would take gigabytes as floats."""
+BAND = 2**18
+"""Pixels merged at a time: a bracket of nine 18-megapixel shots would take gigabytes as floats."""
 HALO = 8
 GHOST_SIGMAS = 5.0
 GHOST_CHANGE = 0.12
@@ -100,8 +100,9 @@ def merge_shots(
         np.empty((height, width), dtype=bool),
         np.zeros(len(stack)),
     )
-    for top in range(0, height, BAND):
-        bottom = min(top + BAND, height)
+    rows = max(2 * HALO, BAND // width)
+    for top in range(0, height, rows):
+        bottom = min(top + rows, height)
         low, high = max(0, top - HALO), min(height, bottom + HALO)
         band = _Band(
             np.stack([c[low:high] for c in stack]),
