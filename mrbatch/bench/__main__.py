@@ -1,4 +1,4 @@
-"""`python -m mrbatch.bench rays|threads JOB`: what the machine gets out of one frame of a job."""
+"""`python -m mrbatch.bench rays|threads|bounces|strategies JOB`: what one frame of a job takes, and why."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from pathlib import Path
 import click
 
 from mrbatch.batch.prepare import Prepared, prepare
+from mrbatch.bench.bounces import bounces as compare_bounces
 from mrbatch.bench.ray_share import ray_share
+from mrbatch.bench.strategies import strategies as compare_strategies
+from mrbatch.bench.tables import draw_bounces, draw_strategies, write_json
 from mrbatch.bench.thread_scaling import thread_scaling
+from mrbatch.bench.variants import Variants
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import MrbatchError
 from mrbatch.job import load_job
@@ -66,6 +70,85 @@ def threads(job: Path, settings: tuple[str, ...], frame: int | None, repeats: in
     click.echo(f"one thread  {sorted(found.one)[repeats // 2]:.3f} s (median)")
     click.echo(f"{threads} threads   {sorted(found.many)[repeats // 2]:.3f} s")
     click.echo(f"speed-up    {_text(found.speedup)}; same pixels: {'yes' if found.same else 'NO'}")
+
+
+def _comparison(command):
+    for option in (
+        click.option("--threads", default=1, show_default=True, type=click.IntRange(1)),
+        click.option(
+            "--reference-spp",
+            default=4096,
+            show_default=True,
+            type=click.IntRange(8),
+            help="Samples a pixel of the converged picture.",
+        ),
+        click.option(
+            "--json", "json_file", type=click.Path(path_type=Path), help="Also write every number here."
+        ),
+    ):
+        command = option(command)
+    return _subject(command)
+
+
+def _told(text: str) -> None:
+    click.echo(f"{text} ...", err=True)
+
+
+@main.command()
+@_comparison
+@click.option("--most", default=10, show_default=True, type=click.IntRange(1, 1000), help="Bounces.")
+def bounces(
+    job: Path,
+    settings: tuple[str, ...],
+    frame: int | None,
+    repeats: int,
+    threads: int,
+    reference_spp: int,
+    json_file: Path | None,
+    most: int,
+) -> None:
+    """Delta path tracing and its baselines, from 1 bounce on: seconds, error, look-ups of the map."""
+    try:
+        found = compare_bounces(
+            Variants(job, settings, frame=frame),
+            range(1, most + 1),
+            repeats=repeats,
+            reference_spp=reference_spp,
+            threads=threads,
+            said=_told,
+        )
+        draw_bounces(found)
+        if json_file is not None:
+            write_json(found, json_file)
+    except MrbatchError as error:
+        raise click.ClickException(str(error)) from error
+
+
+@main.command()
+@_comparison
+def strategies(
+    job: Path,
+    settings: tuple[str, ...],
+    frame: int | None,
+    repeats: int,
+    threads: int,
+    reference_spp: int,
+    json_file: Path | None,
+) -> None:
+    """The map's light sampled by the map, by surfaces, or both weighted: error at equal samples."""
+    try:
+        found = compare_strategies(
+            Variants(job, settings, frame=frame),
+            repeats=repeats,
+            reference_spp=reference_spp,
+            threads=threads,
+            said=_told,
+        )
+        draw_strategies(found)
+        if json_file is not None:
+            write_json(found, json_file)
+    except MrbatchError as error:
+        raise click.ClickException(str(error)) from error
 
 
 if __name__ == "__main__":

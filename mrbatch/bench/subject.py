@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mrbatch.batch.framing import framed
 from mrbatch.batch.prepare import Prepared
 from mrbatch.batch.render import ShotRenderer
 from mrbatch.device.timing import TimingNode
@@ -15,13 +16,15 @@ from mrbatch.device.timing import TimingNode
 @dataclass(frozen=True)
 class Run:
     """What one rendering of the frame took: seconds of its refining passes alone, over all threads, and
-    of the whole frame (reading and developing included)."""
+    of the whole frame (reading and developing included). `composite` (h, w, 3) and, where the job has the
+    layer `virtual`, `coverage` (h, w), are those of the first view."""
 
     seconds: float
     thread_seconds: float
     frame_seconds: float
     counters: dict[str, int]
     composite: np.ndarray
+    coverage: np.ndarray
 
 
 class Subject:
@@ -50,13 +53,24 @@ class Subject:
         before = self._refining()
         frame = self.renderer.render(self.frame, None)
         after = self._refining()
+        name, composite = next(iter(frame.composites.items()))
+        coverage = frame.image.views[name].channels.get("virtual.A", np.zeros(composite.shape[:2]))
         return Run(
             seconds=after[0] - before[0],
             thread_seconds=after[1] - before[1],
             frame_seconds=frame.seconds,
             counters=dict(frame.counters),
-            composite=next(iter(frame.composites.values())),
+            composite=composite,
+            coverage=coverage,
         )
+
+    def photo(self) -> np.ndarray:
+        """(h, w, 3): the captured picture of the first view, as the composite holds it."""
+        prepared = self.renderer.prepared
+        view = self.renderer.outputs.views[0]
+        given = prepared.capture.frame(self.frame, prepared.shot.table).views[view.name].background
+        size = prepared.display[view.name]
+        return framed(framed(given, size, view.whole), size, prepared.windows[view.name])
 
     def _refining(self) -> tuple[float, float]:
         """Seconds and thread seconds of the refining passes so far."""

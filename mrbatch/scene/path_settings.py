@@ -1,4 +1,4 @@
-"""Settings that all methods share which trace light paths."""
+"""Settings that methods share: of all that sample surfaces under a map, and of those that trace paths."""
 
 from __future__ import annotations
 
@@ -11,18 +11,11 @@ from mrbatch.quantities import Settings
 Samples = Annotated[int, Field(ge=2, le=1 << 20, multiple_of=2)]
 
 
-class PathSettings(Settings):
-    """How light paths are sampled, and where they end. A method's own model gives `name` its one value."""
+class SamplingSettings(Settings):
+    """How pixels, surfaces and the map's light are sampled. A method's model gives `name` its one value."""
 
     name: str
     spp: Samples = Field(64, description="Samples a pixel, both halves together, an even number from 2")
-    max_depth: Annotated[int, Field(ge=2, le=1024)] | None = Field(
-        None,
-        description="Longest path in edges, the camera's included, 2..1024; none: roulette alone ends paths",
-    )
-    roulette_depth: Annotated[int, Field(ge=2, le=1024)] = Field(
-        5, description="Path length in edges from which roulette may end a path, 2..1024"
-    )
     strategy: Literal["mis", "environment", "bsdf"] = Field(
         "mis", description="How light from the map is sampled: both ways weighted, or one of them alone"
     )
@@ -34,9 +27,6 @@ class PathSettings(Settings):
         description="How directions are drawn from the map: leaves of equal light found without a search, or "
         "texel by texel from summed rows and columns; `auto`: leaves where they add no noise",
     )
-    light_samples: Annotated[int, Field(ge=1, le=64)] = Field(
-        1, description="Directions drawn from the map where the camera's ray ends, for each sample, 1..64"
-    )
     pixel_filter: Literal["box", "gaussian", "blackman-harris"] = Field(
         "box", description="Reconstruction filter of the virtual layers; the photo is never filtered"
     )
@@ -45,4 +35,19 @@ class PathSettings(Settings):
     )
     batch: Annotated[int, Field(ge=1, le=256)] = Field(
         8, description="Samples that one step adds to each half, 1..256; changes no pixel"
+    )
+
+
+class PathSettings(SamplingSettings):
+    """And where light paths end."""
+
+    max_depth: Annotated[int, Field(ge=2, le=1024)] | None = Field(
+        None,
+        description="Longest path in edges, the camera's included, 2..1024; none: roulette alone ends paths",
+    )
+    roulette_depth: Annotated[int, Field(ge=2, le=1024)] = Field(
+        5, description="Path length in edges from which roulette may end a path, 2..1024"
+    )
+    light_samples: Annotated[int, Field(ge=1, le=64)] = Field(
+        1, description="Directions drawn from the map where the camera's ray ends, for each sample, 1..64"
     )

@@ -227,7 +227,6 @@ def test_delta_path_tracing_reads_the_environment_less_often():
             for m in (DELTA, ONE_PASS, TWO_PASS)
         }
         lookups = {name: counters["lookups"] for name, counters in found.items()}
-        print(depth, found)
         assert 2 * lookups["delta-path-tracing"] < lookups["one-pass"] < lookups["two-pass"]
         rays = {name: c["shadow rays"] + c["scatter rays"] for name, c in found.items()}
         assert rays["delta-path-tracing"] < rays["two-pass"]

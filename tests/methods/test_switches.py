@@ -145,7 +145,7 @@ def test_real_holdout_keeps_the_photo_and_still_reflects_what_changed():
     under, full = (probe(scene_of([*items, lid]), (0.6, 0, 0), spp=64) for items in (held, base))
     assert np.array_equal(under.pixels, full.pixels)
     front = real("card", plane(3, 3, centre=(0, -0.5, 2.0)), 0.5, holdout=True, cast_shadow=False)
-    for method in (DELTA, IMAGE_BASED):
+    for method in (DELTA, IMAGE_BASED, TWO_PASS, ONE_PASS):
         found = picture([real("floor", floor()), black_ball(), front], method=method)
         seen = picture([real("floor", floor()), black_ball()], method=method)
         hidden = (seen.developed.a > 0) & (found.developed.a == 0)

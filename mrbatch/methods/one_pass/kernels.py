@@ -5,8 +5,8 @@ Kan and Kaufmann, *High-Quality Reflections, Refractions, and Caustics in Augmen
 without (L_r) is traced from one camera ray, in place of two pictures of the whole scene. Both paths have the
 same random numbers at each vertex, so they run over the same vertices, each with its own visibility of the
 light, until a ray meets a virtual object: there each goes its own way, L_m from the virtual point among all
-objects, L_r from the real point behind it among real ones. In the words of the papers: mixed and real
-radiance rays, mixed and real shadow rays.
+objects, L_r from the real point behind it among real ones. A shadow ray is cast among all objects first, and
+among real ones only if something is in its way.
 
 Unlike delta path tracing both radiances are computed in full, so the environment is read wherever light
 arrives, and not only where virtual objects keep it away.
