@@ -264,7 +264,9 @@ def _plan(
     )
     plan = make_plan(_rules(job), shot_facts, job.effects)
     most_gain = max(float(np.max(g)) for f in frames for g in f.gains.values())
-    peak = float(scene.environment.radiance.max(initial=0.0)) * most_gain
+    sources = [float(scene.environment.radiance.max(initial=0.0))]
+    sources += [float(o.material.most_emission.max()) for o in scene.virtual]
+    peak = max(sources) * most_gain
     if job.output.dtype == "auto":
         colour_type, reason = choose_colour_type(
             facts.source_bits,

@@ -12,8 +12,8 @@ rho times the share G of their hemisphere that real surfaces fill, times the lar
 
     |Delta| <= direct + rho G sup direct / (1 - largest rho of a real surface).
 
-No surface sends more radiance than the brightest of the map: what scatters light here only loses of it. So
-metal, which focuses light, and surfaces whose reflectance is not known, are bounded too.
+No surface sends more radiance than the brightest of the map, unless one emits: what scatters light here only
+loses of it. So metal, which focuses light, and surfaces whose reflectance is not known, are bounded too.
 """
 
 from __future__ import annotations
@@ -125,10 +125,21 @@ class LightBounds:
         self.real = [body_of(o) for o in scene.real]
         self.senders = [b for b in self.virtual if b.item.cast_shadow]
         self.walls = [b for b in self.real if b.item.cast_shadow]
-        self.ceiling = self.light.most_radiance()
-        """(3,): no surface sends more, since none emits and none returns more than it gets."""
+        self.ceiling = self._most_anywhere()
+        """(3,): no surface sends more."""
         self.sent = self._most_sent()
         self.anywhere = self._most_change()
+
+    def _most_anywhere(self) -> np.ndarray:
+        """No surface returns more than it gets; where one emits, what goes to and fro adds up as a series."""
+        most = self.light.most_radiance()
+        emitted = np.max([b.item.material.most_emission for b in self.virtual] or [np.zeros(3)], axis=0)
+        if not emitted.any():
+            return most
+        albedo = max((float(b.albedo.max()) for b in self.senders + self.walls), default=0.0)
+        if albedo >= 1.0 or any(b.item.material.kind != "diffuse" for b in self.senders):
+            return np.full(3, np.inf)
+        return (most + emitted) / (1.0 - albedo)
 
     def _most_sent(self) -> np.ndarray:
         """(3,): the largest radiance that any surface sends to another."""
@@ -138,7 +149,8 @@ class LightBounds:
             return self.ceiling
         # Of a diffuse surface: albedo / pi times its irradiance, which is at most the map's and what other
         # surfaces return of it, a geometric series.
-        series = albedo / np.pi * self.light.most_irradiance() / (1 - albedo)
+        emitted = np.max([b.item.material.most_emission for b in self.senders] or [np.zeros(3)], axis=0)
+        series = (emitted + albedo / np.pi * self.light.most_irradiance()) / (1 - albedo)
         return np.minimum(series, self.ceiling)
 
     def _most_change(self) -> np.ndarray:

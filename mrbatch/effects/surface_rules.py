@@ -31,8 +31,9 @@ def _glossy(facts: ShotFacts) -> Verdict:
 
 
 def _textures(facts: ShotFacts) -> Verdict:
-    looks = [(o.material.texture, o.material.surface_texture) for o in facts.scene.objects]
-    textured = [pair for pair in looks if pair != (None, None)]
+    materials = [o.material for o in facts.scene.objects]
+    looks = [(m.texture, m.surface_texture, m.emission_texture) for m in materials]
+    textured = [found for found in looks if any(texture is not None for texture in found)]
     if not textured:
         return absent("no surface has a texture")
     return needed("textured surfaces", objects=len(textured))
@@ -43,6 +44,13 @@ def _normal_maps(facts: ShotFacts) -> Verdict:
     if not mapped:
         return absent("no surface has a normal map")
     return needed("surfaces with a normal map", objects=len(mapped))
+
+
+def _emission(facts: ShotFacts) -> Verdict:
+    lit = [o for o in facts.scene.virtual if o.material.most_emission.any()]
+    if not lit:
+        return absent("no virtual object emits light")
+    return needed("virtual objects that emit light", objects=len(lit))
 
 
 def _holdout(facts: ShotFacts) -> Verdict:
@@ -90,6 +98,7 @@ VIRTUAL = Rule("virtual", "what the camera sees of virtual objects", _virtual)
 GLOSSY = Rule("glossy", "glossy reflection", _glossy)
 TEXTURES = Rule("textures", "reflectance that varies over a surface", _textures)
 NORMAL_MAPS = Rule("normal-maps", "shading normals from a map", _normal_maps)
+EMISSION = Rule("emission", "light that virtual objects send of themselves", _emission)
 HOLDOUT = Rule("holdout", "objects that show the photo, untouched, and hide virtual ones", _holdout)
 DISTORTION = Rule("lens-distortion", "distortion of the lens on the virtual layer", _distortion)
 ENVIRONMENT = Rule("environment-light", "light from the environment map", _environment)

@@ -56,6 +56,7 @@ def camera_path_flags(
             photo=on("photo-reflectance"),
             principled="principled" in kinds,
             normal_maps=on("normal-maps"),
+            emission=on("emission"),
         ),
         "unreceptive": on("receive-switch"),
         "pixel_filter": settings.pixel_filter,

@@ -94,6 +94,8 @@ def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ..
         # Schlick's value at normal incidence is the interface's own.
         f0 = ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
         material = replace(material, metalness=look.metalness, f0=f0, edge=look.edge_tint)
+    if item.emission is not None:
+        material = replace(material, emission=item.emission)
     return [(_object(item, material, _shape(item), virtual=True, holdout=item.holdout), ())]
 
 
@@ -110,8 +112,12 @@ def _as_its_file_says(item: given.VirtualObject, path: Path) -> list[tuple[Scene
         material, left_out = material_from_gltf(parts[0].material, place)
         name = str(getattr(parts[0].material, "name", None) or "")
         notes = (f"{path.name}: {', '.join(left_out)} of its material left out",) if left_out else ()
+        if item.emission is not None:
+            material = replace(material, emission=item.emission, emission_texture=None)
         if mesh.uvs is None:
-            material = replace(material, texture=None, surface_texture=None, normal_texture=None)
+            material = replace(
+                material, texture=None, surface_texture=None, normal_texture=None, emission_texture=None
+            )
         material = replace(material, name=name or item.name)
         found.append((_object(item, material, mesh, virtual=True, holdout=item.holdout), notes))
     return found

@@ -49,6 +49,7 @@ def material_from_gltf(found: Any, place: Place) -> tuple[Material, tuple[str, .
         # Codes 0..255 are -1..1; trimesh does not tell the factor on x and y, which is rarely other than 1.
         vectors = normals.astype(np.float32) * np.float32(2.0 / 255.0) - np.float32(1.0)
         normal_texture = Texture(vectors, f"{place.file}, normals")
+    emits, emission_texture = _emission(found, place)
     r, g, b = (float(c) for c in reflectance)
     material = Material(
         kind="principled",
@@ -59,15 +60,29 @@ def material_from_gltf(found: Any, place: Place) -> tuple[Material, tuple[str, .
         f0=F0,
         surface_texture=surface_texture,
         normal_texture=normal_texture,
+        emission=emits,
+        emission_texture=emission_texture,
     )
     return material, _left_out(found)
 
 
+def _emission(found: Any, place: Place) -> tuple[tuple[float, float, float], Texture | None]:
+    """Radiance, and its texture: the file's 1 is radiance 1 in the map's units."""
+    factor = getattr(found, "emissiveFactor", None)
+    if factor is None or not np.any(np.asarray(factor) > 0):
+        return (0.0, 0.0, 0.0), None
+    r, g, b = (float(c) for c in _factor(factor, 3))
+    codes = _picture(getattr(found, "emissiveTexture", None), "emission", place)
+    if codes is None:
+        return (r, g, b), None
+    pixels = (to_linear(codes, "srgb", 8) * [r, g, b]).astype(np.float32)
+    if not pixels.any():
+        return (0.0, 0.0, 0.0), None
+    return (r, g, b), Texture(pixels, f"{place.file}, emission")
+
+
 def _left_out(found: Any) -> tuple[str, ...]:
     parts = []
-    emits = getattr(found, "emissiveFactor", None)
-    if emits is not None and np.any(np.asarray(emits) > 0):
-        parts.append("emission")
     if (getattr(found, "alphaMode", None) or "OPAQUE") != "OPAQUE":
         parts.append("transparency")
     return tuple(parts)

@@ -123,7 +123,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
-    surface_at, normal_at = surfaces.surface, surfaces.normal
+    surface_at, normal_at, emission_at = surfaces.surface, surfaces.normal, surfaces.emission
     sample_light = flags.strategy in ("mis", "environment")
     weigh = flags.strategy == "mis"
 
@@ -174,6 +174,8 @@ def make_paths(flags: PathFlags) -> PathFuncs:
         d = direction
         edges = int(edges_so_far)
         scene_set = among
+        if wp.static(flags.shading.emission):
+            leg.radiance = emission_at(scene, start)
         while edges < numbers.max_edges:
             leg.vertices += 1
             dimension = DIM_VERTEX * edges
@@ -226,6 +228,10 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                     leg.radiance += wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
                 break
             edges += 1
+            if wp.static(flags.shading.emission):
+                # Emitters are met by scattered rays alone, so nothing has to be weighed.
+                met = surface_point(scene, hit.triangle, hit.u, hit.v, d)
+                leg.radiance += wp.cw_mul(throughput, emission_at(scene, met))
             q = survival(throughput, edges, numbers)
             if q < 1.0:
                 if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:

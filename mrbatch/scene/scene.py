@@ -31,7 +31,8 @@ class Material:
     reflectance of a real surface is what the photo and the light say it is. `name`: what masks by material
     call it; empty: as its object. `metalness`, `f0` and `edge` (3,) as in `kernels.bsdf.Surface`.
     `surface_texture`: alpha in red and metalness in green, in place of the two. `normal_texture`: shading
-    normals in the frame of u, v and the surface's own, of any length.
+    normals in the frame of u, v and the surface's own, of any length. `emission` (3,): radiance that the
+    surface sends of itself, to both sides, in the map's units; `emission_texture` in place of it.
     """
 
     kind: str = "diffuse"
@@ -45,6 +46,15 @@ class Material:
     edge: tuple[float, float, float] = (1.0, 1.0, 1.0)
     surface_texture: Texture | None = None
     normal_texture: Texture | None = None
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    emission_texture: Texture | None = None
+
+    @property
+    def most_emission(self) -> np.ndarray:
+        """(3,) float64: no less than what any point of the surface emits."""
+        if self.emission_texture is not None:
+            return self.emission_texture.pixels.reshape(-1, 3).max(axis=0).astype(np.float64)
+        return np.asarray(self.emission, dtype=np.float64)
 
 
 @dataclass(frozen=True)

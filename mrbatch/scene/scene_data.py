@@ -38,6 +38,8 @@ class ObjectData:
     edge: wp.vec3
     surface_texture: wp.int32
     normal_texture: wp.int32
+    emission: wp.vec3
+    emission_texture: wp.int32
 
 
 @wp.struct
@@ -192,6 +194,11 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
         if item.material.normal_texture is not None:
             entry.normal_texture = len(textures)
             textures.append(item.material.normal_texture.pixels)
+        entry.emission = wp.vec3(*item.material.emission)
+        entry.emission_texture = -1
+        if item.material.emission_texture is not None:
+            entry.emission_texture = len(textures)
+            textures.append(item.material.emission_texture.pixels)
         objects.append(entry)
     if n_triangles > MAX_TRIANGLES:
         raise InputError(f"{n_triangles} triangles are more than {MAX_TRIANGLES}")

@@ -23,6 +23,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from mrbatch.quantities import (
     Albedo,
     Angle,
+    Colour,
     InputPath,
     Length,
     Number,
@@ -341,6 +342,11 @@ class VirtualObject(Object):
     material: Material | None = Field(
         None,
         description="How its surface reflects; none: as a glTF file says, else diffuse grey",
+    )
+    emission: Colour | None = Field(
+        None,
+        description="Radiance that it sends of itself, linear Rec.709, in the map's units, 0 or more: grey "
+        "or [r, g, b]; none: as a glTF file says, else 0",
     )
     holdout: bool = Field(
         False, description="Whether it cuts a hole: it hides virtual objects and shows the photo"

@@ -39,21 +39,25 @@ class ShadingFlags:
     photo: bool = False
     principled: bool = False
     normal_maps: bool = False
+    emission: bool = False
 
 
 @dataclass(frozen=True)
 class SurfaceFuncs:
-    """Three `wp.func`s of (scene, photo, point), and `normal` of (scene, point, towards the viewer).
+    """`wp.func`s: three of (scene, photo, point), `normal` of (scene, point, towards the viewer), and
+    `emission` of (scene, point).
 
     `surface` -> Surface: all scattering properties. `bare` -> Surface: the same with reflectance 1, and
     `reflectance` -> vec3, for a caller who finds out first whether it is needed: textures are large, and
     a look-up costs as much as a short ray. `normal` -> vec3: the shading normal, which a map may bend.
+    `emission` -> vec3: the radiance that the surface sends of itself.
     """
 
     surface: Any
     bare: Any
     reflectance: Any
     normal: Any
+    emission: Any
 
 
 @wp.func
@@ -153,4 +157,13 @@ def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> SurfaceFuncs:
                 result = bent_normal(scene, point, viewer, local)
         return result
 
-    return SurfaceFuncs(surface_at, bare_at, reflectance_at, normal_at)
+    @wp.func
+    def emission_at(scene: SceneData, point: SurfacePoint) -> wp.vec3:
+        result = scene.objects[point.object].emission
+        if wp.static(flags.textures):
+            found = scene.objects[point.object].emission_texture
+            if found >= 0:
+                result = sample_texture(scene.textures, found, texture_coordinates(scene, point))
+        return result
+
+    return SurfaceFuncs(surface_at, bare_at, reflectance_at, normal_at, emission_at)

@@ -106,8 +106,21 @@ def test_each_material_is_an_object_of_the_same_name(tmp_path):
 
 
 def test_what_is_left_out_is_told(tmp_path):
-    path = write(tmp_path / "a.glb", one=card(alphaMode="BLEND", emissiveFactor=[1.0, 0.5, 0.0]))
-    assert built(path).notes == ("a.glb: emission, transparency of its material left out",)
+    path = write(tmp_path / "a.glb", one=card(alphaMode="BLEND"))
+    assert built(path).notes == ("a.glb: transparency of its material left out",)
+
+
+def test_emission(tmp_path):
+    path = write(
+        tmp_path / "a.glb", one=card(emissiveTexture=picture(COLOURS), emissiveFactor=[1.0, 0.5, 0.0])
+    )
+    (item,) = built(path).objects
+    linear = to_linear(COLOURS, "srgb", 8)
+    np.testing.assert_allclose(item.material.emission_texture.pixels, linear * [1.0, 0.5, 0.0], atol=1e-6)
+    (item,) = built(path, emission=[2.0, 3.0, 4.0]).objects
+    assert item.material.emission == (2.0, 3.0, 4.0) and item.material.emission_texture is None
+    (item,) = built(path, emission=0, material={"type": "diffuse"}).objects
+    assert not item.material.most_emission.any()
 
 
 def test_normal_maps_are_vectors(tmp_path):

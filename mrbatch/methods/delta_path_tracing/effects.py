@@ -8,6 +8,7 @@ from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.facts import ShotFacts
 from mrbatch.effects.surface_rules import (
     DISTORTION,
+    EMISSION,
     ENVIRONMENT,
     GLOSSY,
     HOLDOUT,
@@ -47,7 +48,7 @@ def _real_on_real(facts: ShotFacts) -> Verdict:
 
 def _can_send(item: SceneObject) -> bool:
     # What lies over a black base is not black.
-    if item.material.kind == "principled":
+    if item.material.kind == "principled" or item.material.most_emission.any():
         return True
     return item.material.texture is not None or max(item.material.reflectance) > 0.0
 
@@ -65,6 +66,7 @@ RULES = (
     Rule("real-on-real", "light between real surfaces that virtual objects block", _real_on_real),
     Rule("bleeding", "light that virtual objects send onto real surfaces", _bleeding),
     GLOSSY,
+    EMISSION,
     NORMAL_MAPS,
     TEXTURES,
     PHOTO_REFLECTANCE,

@@ -6,6 +6,7 @@ from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.facts import ShotFacts
 from mrbatch.effects.surface_rules import (
     DISTORTION,
+    EMISSION,
     ENVIRONMENT,
     GLOSSY,
     HOLDOUT,
@@ -27,6 +28,7 @@ RULES = (
     VIRTUAL,
     Rule("occlusion", "light of the map that surfaces block on virtual objects", _occlusion),
     GLOSSY,
+    EMISSION,
     NORMAL_MAPS,
     TEXTURES,
     HOLDOUT,

@@ -68,7 +68,7 @@ def make_kernel(flags: Flags) -> Any:
     sample_2d, sample_2d_bits = sampler.sample_2d, sampler.sample_2d_bits
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
-    surface_at, normal_at = surfaces.surface, surfaces.normal
+    surface_at, normal_at, emission_at = surfaces.surface, surfaces.normal, surfaces.emission
     sample_light = flags.strategy in ("mis", "environment")
     sample_scatter = flags.strategy in ("mis", "bsdf")
     weigh = flags.strategy == "mis"
@@ -110,6 +110,8 @@ def make_kernel(flags: Flags) -> Any:
                 if (here & VIRTUAL) != 0 and (here & HOLDOUT) == 0:
                     covered = 1.0
                     vertices += 1
+                    if wp.static(flags.shading.emission):
+                        value = emission_at(scene, point)
                     surface = surface_at(scene, frame.photo, point)
                     if wp.static(flags.shading.normal_maps):
                         point.ns = normal_at(scene, point, -primary.direction)

@@ -43,6 +43,7 @@ def make_flags(
             textures=plan.on("textures"),
             principled="principled" in kinds,
             normal_maps=plan.on("normal-maps"),
+            emission=plan.on("emission"),
         ),
         occlusion=plan.on("occlusion"),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from mrbatch.effects.surface_rules import (
     DISTORTION,
+    EMISSION,
     ENVIRONMENT,
     GLOSSY,
     HOLDOUT,
@@ -20,6 +21,7 @@ RULES = (
     VIRTUAL,
     LIGHT_CHANGE,
     GLOSSY,
+    EMISSION,
     NORMAL_MAPS,
     TEXTURES,
     PHOTO_REFLECTANCE,
