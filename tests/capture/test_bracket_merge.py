@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -176,6 +177,22 @@ def test_a_shot_that_moved(tmp_path, radiance):
         merge(paths, tmp_path, times=TIMES, align="refuse")
 
 
+def test_a_shot_that_turned(tmp_path):
+    """Moving it back would not help: told, or refused."""
+    big = room(height=192, width=384)
+    turn = cv2.getRotationMatrix2D((192.0, 96.0), 1.5, 1.0)
+    paths = nine(tmp_path, big)[2:7]
+    turned = cv2.warpAffine(big, turn, (384, 192), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    save(paths[2], shoot(turned, TIMES[4], seed=4))
+    report, _, _ = merge(paths, tmp_path, times=TIMES[2:7])
+    told = [w for w in report.warnings if "turned" in w]
+    assert len(told) == 1 and told[0].startswith("shot_4.png")
+    with pytest.raises(InputError, match="shot_4.png is turned"):
+        merge(paths, tmp_path, times=TIMES[2:7], align="refuse")
+    report, _, _ = merge(nine(tmp_path, big)[2:7], tmp_path, times=TIMES[2:7])
+    assert not [w for w in report.warnings if "turned" in w]
+
+
 def test_a_person_in_one_shot(tmp_path, radiance):
     """IO-06: twenty times as bright as what is behind, in one shot."""
     paths = nine(tmp_path, radiance)
@@ -227,6 +244,20 @@ def test_gamma_for_srgb_darkens(tmp_path, radiance):
     lit = (radiance * TIMES[5] > 0.001) & (radiance * TIMES[5] < 0.004)
     assert lit.any() and np.median(wrong[lit] / right[lit]) < 0.8
     assert np.median((right / radiance)[lit]) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("name", "exponent"), [("gamma22", 2.2), ("linear", 1.0)])
+def test_pictures_with_another_known_curve(tmp_path, radiance, name, exponent):
+    """The steps between shots and the times tell, though no file says it; labels are not blamed."""
+    paths = nine(tmp_path, radiance, curve=lambda x: np.clip(x, 0.0, 1.0) ** (1.0 / exponent))
+    paths, times = paths[1:], TIMES[1:]  # linear codes show nothing of the room in the first
+    report, found, _ = merge(paths, tmp_path, times=times)
+    assert report.curve == name and not report.warnings
+    assert any(f"follow {name}, not srgb" in n for n in report.notes)
+    assert np.median(error(found, radiance)) < 0.01
+    asked, _, _ = merge(paths, tmp_path, times=times, curve="srgb")
+    assert any("do not follow srgb" in w for w in asked.warnings)
+    assert not any("is off by" in w for w in asked.warnings)
 
 
 def test_a_camera_with_a_curve_of_its_own(tmp_path, radiance):

@@ -10,12 +10,17 @@ from typing import Any, Literal
 import numpy as np
 
 from mrbatch.capture.marker_video.bracket import Bracket, Shot, read_bracket
-from mrbatch.capture.marker_video.exposure_fit import CURVE_BEND, ExposureFit, fit_exposures
+from mrbatch.capture.marker_video.exposure_fit import CURVE_MISFIT, ExposureFit, fit_exposures
 from mrbatch.capture.marker_video.hdr_file import NumberType, choose_number_type, write_map
 from mrbatch.capture.marker_video.hdr_merge import Merged, measure_noise, merge_shots
 from mrbatch.capture.marker_video.opencv_merge import merge_opencv
-from mrbatch.capture.marker_video.response_curve import ResponseCurve, known_curve, recovered_curve
-from mrbatch.capture.marker_video.shot_alignment import Shift, measure_shifts, moved_back
+from mrbatch.capture.marker_video.response_curve import CURVES, ResponseCurve, known_curve, recovered_curve
+from mrbatch.capture.marker_video.shot_alignment import (
+    Shift,
+    measure_shifts,
+    moved_back,
+    turned_shots,
+)
 from mrbatch.errors import InputError, JobError, Place
 from mrbatch.kernels.transfer import to_rec709
 
@@ -95,9 +100,8 @@ def merge_hdr(
     shots = _telling(bracket, notes)
     tagged = [s.tagged if times is None else times[s.index] for s in shots]
     names = [s.name for s in shots]
-    response = _curve(curve, shots, tagged)
     codes = [s.codes for s in shots]
-    fit = fit_exposures(codes, response, bracket.clip, tagged, names)
+    response, fit = _curve_and_exposures(curve, shots, bracket.clip, tagged, notes)
     exposed = [float(np.mean((c > 0.1 * bracket.clip) & (c < 0.9 * bracket.clip))) for c in codes]
     best = int(np.argmax(exposed))
     if fit.relative:
@@ -188,6 +192,27 @@ def _curve(name: str, shots: Sequence[Shot], tagged: Sequence[float | None]) -> 
     return recovered_curve([s.codes for s in shots], times)
 
 
+def _curve_and_exposures(
+    name: str, shots: Sequence[Shot], clip: int, tagged: Sequence[float | None], notes: list[str]
+) -> tuple[ResponseCurve, ExposureFit]:
+    """The curve that was asked for; for `auto` sRGB (or linear where tagged), unless the pictures plainly
+    follow another of the known ones."""
+    codes, names = [s.codes for s in shots], [s.name for s in shots]
+
+    def fitted(one: str) -> tuple[ResponseCurve, ExposureFit]:
+        response = _curve(one, shots, tagged)
+        return response, fit_exposures(codes, response, clip, tagged, names)
+
+    first = fitted(name)
+    if name != "auto" or first[1].misfit < CURVE_MISFIT:
+        return first
+    best = min((fitted(other) for other in CURVES if other != first[0].name), key=lambda f: f[1].misfit)
+    if best[1].misfit > 0.4 * first[1].misfit or best[1].misfit > CURVE_MISFIT:
+        return first
+    notes.append(f"the pictures follow {best[0].name}, not {first[0].name}")
+    return best
+
+
 def _judge(
     fit: ExposureFit,
     curve: ResponseCurve,
@@ -206,7 +231,7 @@ def _judge(
         notes.append("exposures are measured in the pictures; the times give the unit")
     if fit.reordered:
         warnings.append("the exposure times belong to other pictures: they were put in the pictures' order")
-    elif fit.wrong:
+    elif fit.wrong and fit.misfit < CURVE_MISFIT:
         for i, stops in fit.wrong.items():
             t = tagged[i]
             warnings.append(
@@ -215,10 +240,11 @@ def _judge(
             )
     for i in fit.unlinked:
         warnings.append(f"{shots[i].name}: shares no well exposed pixels with others; its time is trusted")
-    if fit.bend > CURVE_BEND:
+    if fit.misfit > CURVE_MISFIT:
+        steps = f", and steps are {fit.slope:.2f} times the times'" if abs(fit.slope - 1.0) > 0.02 else ""
         warnings.append(
-            f"ratios of exposures change by {100 * fit.bend:.0f} % between dark and bright pixels: the "
-            f"pictures do not follow {curve.name}; try --curve recover"
+            f"ratios of exposures change by {100 * fit.bend:.0f} % between dark and bright pixels{steps}: "
+            f"the pictures do not follow {curve.name}; try --curve recover"
         )
     order = np.argsort(fit.seconds)
     steps = np.diff(np.log2(fit.seconds[order]))
@@ -236,6 +262,11 @@ def _judge(
 def _aligned(codes, names, curve, fit: ExposureFit, best: int, align: Align, warnings: list[str]):
     """Shots put back in place: codes, shifts, and where each has pixels."""
     shifts = measure_shifts(codes, curve, fit.seconds, best)
+    for i in turned_shots(codes, curve, fit.seconds):
+        told = f"{names[i]} is turned or bent against its neighbours, which moving cannot mend"
+        if align == "refuse":
+            raise InputError(told, hint="leave it out, or align the pictures first")
+        warnings.append(told)
     still = _majority(shifts)
     shifts = [Shift(s.x - still.x, s.y - still.y) for s in shifts]
     result, there = list(codes), _everywhere(codes)

@@ -24,8 +24,8 @@ SAME_LABEL = 0.03
 better than a fit through JPEG pictures measures them."""
 MIN_BLOCKS = 24
 """Blocks that a pair must share to be compared."""
-CURVE_BEND = 0.05
-"""Relative change of the ratio between dark and bright blocks from which the curve is called wrong."""
+CURVE_MISFIT = 0.05
+"""Relative change of ratios (with the brightness, or against the tags) from which a curve is called wrong."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class ExposureFit:
     `relative`: no tags gave the unit; the median shot has 1. `exact`: tags and fit agree, and `seconds` are
     the tags. `wrong`: shots by index whose tag is off, with the stops. `reordered`: the tags are right as a
     set but belong to other shots. `unlinked`: shots by index whose exposure is the tag's alone. `bend`:
-    relative change of ratios between dark and bright pixels, 0 for the right curve.
+    relative change of ratios between dark and bright pixels, 0 for the right curve. `slope`: steps in the
+    pictures over steps of the tags, 1 for the right curve; NaN where tags do not tell.
     """
 
     seconds: np.ndarray
@@ -47,7 +48,13 @@ class ExposureFit:
     reordered: bool
     unlinked: tuple[int, ...]
     bend: float
+    slope: float = np.nan
     notes: tuple[str, ...] = ()
+
+    @property
+    def misfit(self) -> float:
+        """How far the pictures are from following the curve: 0 for the right one."""
+        return self.bend + (abs(self.slope - 1.0) if np.isfinite(self.slope) else 0.0)
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,7 @@ def fit_exposures(
         unlinked += group
     if not used:
         logs -= np.median(logs)
+    slope = _slope(logs[used], tags[used]) if not reordered else np.nan
     if exact:
         logs[told] = tags[told]
     return ExposureFit(
@@ -122,8 +130,19 @@ def fit_exposures(
         reordered=reordered,
         unlinked=tuple(sorted(unlinked)),
         bend=float(np.median([p.bend for p in pairs if np.isfinite(p.bend)] or [0.0])),
+        slope=slope,
         notes=tuple(notes),
     )
+
+
+def _slope(logs: np.ndarray, tags: np.ndarray) -> float:
+    """Median slope over all pairs of shots (Theil and Sen): one wrong tag does not turn it."""
+    if len(logs) < 3:
+        return np.nan
+    i, j = np.triu_indices(len(logs), k=1)
+    apart = np.abs(tags[j] - tags[i]) > 0.1
+    slopes = (logs[j] - logs[i])[apart] / (tags[j] - tags[i])[apart]
+    return float(np.median(slopes)) if slopes.size and np.median(slopes) > 0.0 else np.nan
 
 
 def _wrong_labels(used: Sequence[int], difference: np.ndarray) -> dict[int, float]:

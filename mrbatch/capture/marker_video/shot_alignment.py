@@ -18,6 +18,8 @@ STILL = 0.3
 """Shifts below this many pixels are the noise of the measurement."""
 LARGEST = 0.1
 """Share of the picture's side beyond which a shift is a turn, which moving cannot mend."""
+TURNED = 1.0
+_LEAST_QUARTER = 48
 _LARGE_SIDE = 2048
 
 
@@ -45,6 +47,40 @@ def measure_shifts(
             step = _between(codes[known], codes[new], curve, seconds[known], seconds[new])
             shifts[new] = Shift(shifts[known].x + step.x, shifts[known].y + step.y)
     return [shifts[i] if shifts[i].length >= STILL else Shift(0.0, 0.0) for i in range(len(codes))]
+
+
+def turned_shots(codes: Sequence[np.ndarray], curve: ResponseCurve, seconds: np.ndarray) -> list[int]:
+    """Shots whose quarters moved differently, by more than `TURNED` pixels: turned, zoomed or bent ones.
+
+    A shot is one if it differs so from each neighbour in exposure that shows enough to tell.
+    """
+    order = [int(i) for i in np.argsort(seconds)]
+    height, width = codes[0].shape[:2]
+    if min(height, width) < 2 * _LEAST_QUARTER:
+        return []
+    rows = (slice(0, height // 2), slice(height // 2, height))
+    columns = (slice(0, width // 2), slice(width // 2, width))
+    verdicts: dict[int, list[bool]] = {i: [] for i in order}
+    for i, j in zip(order, order[1:]):
+        quarters = [
+            _between(codes[i][r, c], codes[j][r, c], curve, seconds[i], seconds[j])
+            for r in rows
+            for c in columns
+        ]
+        moves = np.array([(q.x, q.y) for q in quarters])
+        # Two quarters at least: one alone may hold something that moved.
+        off = np.linalg.norm(moves - np.median(moves, axis=0), axis=1) > TURNED
+        verdict = int(np.count_nonzero(off)) >= 2
+        verdicts[i].append(verdict)
+        verdicts[j].append(verdict)
+    found = [i for i in order if all(verdicts[i])]
+    # At the ends of the chain one neighbour tells; the turned one of two is the one without a good link.
+    return [i for i in found if len(verdicts[i]) > 1 or not any(k in found for k in _beside(order, i))]
+
+
+def _beside(order: Sequence[int], shot: int) -> list[int]:
+    at = order.index(shot)
+    return [order[k] for k in (at - 1, at + 1) if 0 <= k < len(order)]
 
 
 def _between(a: np.ndarray, b: np.ndarray, curve: ResponseCurve, ta: float, tb: float) -> Shift:
