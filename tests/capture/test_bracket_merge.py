@@ -105,6 +105,19 @@ def test_a_smaller_map_keeps_the_light(tmp_path, radiance):
         merge(nine(tmp_path, radiance), tmp_path, times=TIMES, width=400)
 
 
+def test_same_pictures_same_bytes(tmp_path, radiance):
+    paths = nine(tmp_path, radiance)
+    merge(paths, tmp_path, times=TIMES)
+    first = (tmp_path / "map.exr").read_bytes()
+    merge(paths, tmp_path, times=TIMES)
+    assert (tmp_path / "map.exr").read_bytes() == first
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(tmp_path / "map.exr"))
+    assert not source.spec().get_string_attribute("DateTime")
+    source.close()
+
+
 # What is wrong with brackets.
 
 
@@ -369,6 +382,20 @@ def test_real_jpegs_of_a_known_map(tmp_path, shared_data, name, median, share):
     assert np.median(e) < median and np.mean(e < 0.03) > share
     assert abs(found[well_exposed(truth)].mean() / truth[well_exposed(truth)].mean() - 1.0) < 0.005
     assert not report.warnings
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "most"), [("window", 0.007), ("lamps", 0.015)])
+def test_the_light_of_a_known_map(tmp_path, shared_data, name, most):
+    """What renders use of the map: irradiance from six sides, as the true map gives it."""
+    from mrbatch.scene.environment import load_environment
+
+    folder = shared_data / "markers" / f"mitsuba_desk_{name}"
+    merge([folder / f"bracket_{k}.jpg" for k in range(9)], tmp_path, times=TIMES)
+    sides = np.concatenate([np.eye(3), -np.eye(3)])
+    merged = load_environment(tmp_path / "map.exr").irradiance(sides)
+    true = load_environment(folder / "environment.exr").irradiance(sides)
+    assert np.abs(merged / true - 1.0).max() < most
 
 
 @pytest.mark.slow

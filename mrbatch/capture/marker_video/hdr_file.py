@@ -29,6 +29,22 @@ def choose_number_type(radiance: np.ndarray) -> tuple[Literal["half", "float"], 
     return "half", "half keeps all values to 0.05 %"
 
 
+def _ends_whole(path: Path, height: int) -> bool:
+    """Whether the last row can be read; all other data lie before it."""
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        oiio.geterror()
+        return False
+    try:
+        channels = source.spec().nchannels
+        last = source.read_scanlines(0, 0, height - 1, height, 0, 0, channels, "float")
+        return last is not None and not source.geterror()
+    finally:
+        source.close()
+
+
 def write_map(
     path: Path,
     radiance: np.ndarray,
@@ -47,6 +63,8 @@ def write_map(
     spec = oiio.ImageSpec(width, height, len(names), number_type)
     spec.channelnames = tuple(names)
     spec.attribute("compression", "zip")
+    # An empty date keeps the library from stamping the file: the same pictures give the same bytes.
+    spec.attribute("DateTime", "")
     spec.attribute("chromaticities", "float[8]", (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290))
     spec.attribute("mrbatch/merge", json.dumps(metadata, sort_keys=True))
     pixels = np.concatenate([radiance, *(m[..., None] for m in masks.values())], axis=-1, dtype=np.float32)
@@ -56,7 +74,8 @@ def write_map(
         raise ResourceError("this OpenImageIO cannot write EXR", hint="install OpenImageIO from its wheel")
     try:
         done = out.open(str(temporary), spec) and out.write_image(np.ascontiguousarray(pixels))
-        if not (out.close() and done):
+        # Closing flushes the last buffer but does not say when that fails; the last row tells.
+        if not (out.close() and done and _ends_whole(temporary, height)):
             reason = (out.geterror() or "the disk gave no reason").strip().splitlines()[0]
             raise ResourceError(f"cannot write the map: {reason}", place=Place(file=str(path)))
         os.replace(temporary, path)
