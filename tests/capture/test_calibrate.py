@@ -276,10 +276,17 @@ def test_pictures_of_two_sizes(tmp_path):
     cv2.imwrite(str(tmp_path / "b.png"), np.zeros((64, 48), np.uint8))
     with pytest.raises(InputError, match="48x64, the first one 64x48"):
         mrbatch.calibrate_camera([tmp_path / "a.png", tmp_path / "b.png"], TEXT, tmp_path / "c.yaml")
-    with pytest.raises(InputError, match="seen in 0 pictures"):
+    with pytest.raises(InputError, match="seen in none of 1 pictures"):
         mrbatch.calibrate_camera([tmp_path / "a.png"], TEXT, tmp_path / "c.yaml")
     with pytest.raises(JobError, match="one of the inputs"):
         mrbatch.calibrate_camera([tmp_path / "a.png"], TEXT, tmp_path / "a.png")
+
+
+def test_another_dictionary_is_named(tmp_path, pictures):
+    cv2.imwrite(str(tmp_path / "a.png"), photograph(pictures[0], blur=0.7))
+    with pytest.raises(InputError) as caught:
+        mrbatch.calibrate_camera([tmp_path / "a.png"], TEXT.replace("4X4", "6X6"), tmp_path / "c.yaml")
+    assert "markers of DICT_4X4_50" in caught.value.hint
 
 
 def test_the_file_is_plain_numbers():

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mrbatch.capture.marker_video.capture import grey_codes_of
-from mrbatch.capture.marker_video.markers import TargetDetector
+from mrbatch.capture.marker_video.markers import TargetDetector, other_dictionaries
 from mrbatch.capture.marker_video.sequence import PICTURE_SUFFIXES
 from mrbatch.capture.marker_video.settings import ColourSettings
 from mrbatch.capture.marker_video.target_settings import TargetSettings
@@ -23,6 +23,7 @@ from mrbatch.scene.stored_picture import colour_channels, read_stored
 CANDIDATES = 240
 """Frames of a video that are looked at, evenly over its length."""
 MIN_CORNERS = 8
+_SHOWN = 3
 BLURRED = 2.0
 """Edges this many times as wide as the sharp views' are blurred."""
 _LUMA = np.array([0.299, 0.587, 0.114])
@@ -61,7 +62,7 @@ def find_views(
 ) -> Views:
     """Finds the board in pictures, or in one video.
 
-    Raises InputError: unreadable files, pictures of several sizes.
+    Raises InputError: unreadable files, pictures of several sizes, no board in any.
     """
     video = len(paths) == 1 and paths[0].suffix.lower() not in PICTURE_SUFFIXES
     pictures = _of_video(paths[0]) if video else _of_files(paths)
@@ -70,6 +71,7 @@ def find_views(
     unseen: list[str] = []
     size: tuple[int, int] | None = None
     looked_at = 0
+    first: list[np.ndarray] = []
     for name, place, total, grey in pictures:
         here = (grey.shape[1], grey.shape[0])
         if size is not None and here != size:
@@ -85,11 +87,25 @@ def find_views(
             views.append(View(name, found.points_2d, found.points_3d, edge_width(grey, found.points_2d)))
         else:
             unseen.append(name)
+            if len(first) < _SHOWN:
+                first.append(grey)
         progress(looked_at, total)
     assert size is not None
+    if not views:
+        raise _nothing_seen(first, target, looked_at)
     # Whoever picks stills has looked at them; of a video, frames in fast motion are left out.
     sharp, blurred = _sharp(views) if video else (views, [])
     return Views(tuple(sharp), size, looked_at, tuple(unseen), tuple(v.name for v in blurred))
+
+
+def _nothing_seen(pictures: Sequence[np.ndarray], target: TargetSettings, looked_at: int) -> InputError:
+    seen = other_dictionaries(pictures, target.dictionary)
+    hint = "check --board against the print; film the whole board, near and sharp"
+    if seen:
+        name, ids = next(iter(seen.items()))
+        some = ", ".join(str(i) for i in ids[:6])
+        hint = f"the pictures show markers of {name} (ids {some}): is that what was printed?"
+    return InputError(f"the board is seen in none of {looked_at} pictures", hint=hint)
 
 
 def _of_files(paths: Sequence[Path]) -> Iterator[tuple[str, Place, int, np.ndarray]]:
