@@ -8,6 +8,8 @@ from desk_scene import SETS, desk, judge, rays_as_the_truth_starts_them
 
 from mrbatch.methods.delta_path_tracing import METHOD as DELTA
 from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
+from mrbatch.methods.one_pass import METHOD as ONE_PASS
+from mrbatch.methods.two_pass import METHOD as TWO_PASS
 
 pytestmark = pytest.mark.slow
 CASES = [(name, kind, frame) for name in SETS for kind in ("diffuse", "metal") for frame in (0, 4)]
@@ -49,3 +51,18 @@ def test_no_tile_differs_once_rays_start_where_the_truths_do(shared_data, name, 
     # The noise is read off the pictures, by up to a half too large: judged by the tiles' own scatter too.
     assert 0.5 < test.rms < 1.2
     assert test.largest / test.rms <= test.limit
+
+
+@pytest.mark.parametrize("method", [ONE_PASS, TWO_PASS], ids=lambda m: m.name)
+@pytest.mark.parametrize("kind", ["diffuse", "metal"])
+def test_baselines_against_the_truth(shared_data, method, kind):
+    """The baselines of differential rendering have no bias either; two pictures have more noise."""
+    scene = desk(shared_data, "mitsuba_desk_window", kind)
+    ours = judge(DELTA, scene, 0, spp=64, max_depth=8)
+    found = judge(method, scene, 0, spp=64, max_depth=8)
+    assert found.test.difference.low > -0.01 and found.test.difference.high < 0.01
+    assert found.test.passed
+    if method is ONE_PASS:
+        assert found.relmse == pytest.approx(ours.relmse, rel=1e-3)
+    else:
+        assert found.relmse > 1.2 * ours.relmse
