@@ -107,3 +107,19 @@ PHOTO_REFLECTANCE = Rule(
     "photo-reflectance", "reflectance of real surfaces from the photo", _photo_reflectance
 )
 RECEIVE = Rule("receive-switch", "objects that take no light change", _receive)
+
+WHOLE_PATH_RULES = (
+    VIRTUAL,
+    LIGHT_CHANGE,
+    GLOSSY,
+    EMISSION,
+    NORMAL_MAPS,
+    TEXTURES,
+    PHOTO_REFLECTANCE,
+    HOLDOUT,
+    RECEIVE,
+    DISTORTION,
+    ENVIRONMENT,
+)
+"""Of methods that trace both radiances in full: fewer effects can be left out than where only
+their change is."""

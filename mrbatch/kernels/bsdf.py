@@ -268,8 +268,7 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
         return found
 
     @wp.func(name=f"principled_evaluate_{tag}")
-    def principled_evaluate(s: Surface, wo: wp.vec3, wi: wp.vec3) -> wp.vec3:
-        found = layers(s, wo)
+    def principled_evaluate(s: Surface, found: _Layers, wo: wp.vec3, wi: wp.vec3) -> wp.vec3:
         h = wp.normalize(wo + wi)
         cosine = wp.dot(wo, h)
         so = ggx_slope_term(s.alpha, wo[2])
@@ -287,14 +286,15 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
         return metal * s.metalness + plastic * (1.0 - s.metalness)
 
     @wp.func(name=f"principled_pdf_{tag}")
-    def principled_pdf(s: Surface, wo: wp.vec3, wi: wp.vec3) -> float:
-        mirror = layers(s, wo).mirror
-        return mirror * conductor_pdf(s, wo, wi) + (1.0 - mirror) * _INV_PI * wi[2]
+    def principled_pdf(s: Surface, found: _Layers, wo: wp.vec3, wi: wp.vec3) -> float:
+        return found.mirror * conductor_pdf(s, wo, wi) + (1.0 - found.mirror) * _INV_PI * wi[2]
 
     @wp.func(name=f"principled_sample_{tag}")
     def principled_sample(s: Surface, wo: wp.vec3, u: wp.vec2) -> BsdfSample:
         sample = BsdfSample()
-        mirror = layers(s, wo).mirror
+        # Known from wo alone: found once for the choice, the density and the value.
+        found = layers(s, wo)
+        mirror = found.mirror
         # The second number chooses the way, and what is left of it is used again.
         if u[1] < mirror:
             m = ggx_visible_normal(wo, wp.max(s.alpha, ALPHA_MIN), wp.vec2(u[0], _again(u[1] / mirror)))
@@ -302,8 +302,8 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
         else:
             sample.wi = cosine_hemisphere(wp.vec2(u[0], _again((u[1] - mirror) / (1.0 - mirror))))
         if sample.wi[2] > 0.0:
-            sample.pdf = principled_pdf(s, wo, sample.wi)
-            sample.weight = principled_evaluate(s, wo, sample.wi) / sample.pdf
+            sample.pdf = principled_pdf(s, found, wo, sample.wi)
+            sample.weight = principled_evaluate(s, found, wo, sample.wi) / sample.pdf
         return sample
 
     @wp.func(name=f"bsdf_evaluate_{tag}")
@@ -319,9 +319,9 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
             if wp.static(has_principled):
                 if wp.static(several):
                     if s.kind == PRINCIPLED:
-                        value = principled_evaluate(s, wo, wi)
+                        value = principled_evaluate(s, layers(s, wo), wo, wi)
                 else:
-                    value = principled_evaluate(s, wo, wi)
+                    value = principled_evaluate(s, layers(s, wo), wo, wi)
             if wp.static(has_diffuse):
                 if wp.static(several):
                     if s.kind == DIFFUSE:
@@ -343,9 +343,9 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
             if wp.static(has_principled):
                 if wp.static(several):
                     if s.kind == PRINCIPLED:
-                        value = principled_pdf(s, wo, wi)
+                        value = principled_pdf(s, layers(s, wo), wo, wi)
                 else:
-                    value = principled_pdf(s, wo, wi)
+                    value = principled_pdf(s, layers(s, wo), wo, wi)
             if wp.static(has_diffuse):
                 if wp.static(several):
                     if s.kind == DIFFUSE:

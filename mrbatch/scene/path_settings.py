@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from mrbatch.contracts import Axis
 from mrbatch.quantities import Settings
 
 Samples = Annotated[int, Field(ge=2, le=1 << 20, multiple_of=2)]
@@ -51,3 +52,20 @@ class PathSettings(SamplingSettings):
     light_samples: Annotated[int, Field(ge=1, le=64)] = Field(
         1, description="Directions drawn from the map where the camera's ray ends, for each sample, 1..64"
     )
+
+
+PATH_AXES = (
+    Axis("spp", "method.spp", (4, 16, 64, 256, 1024), "time ~ N, error ~ N^-1/2 or faster", "camera rays"),
+    Axis("depth", "method.max_depth", (2, 3, 4, 8, None), "bias falls as albedo^depth", "vertices"),
+    Axis("roulette", "method.roulette_depth", (3, 5, 9), "noise against path length", "vertices"),
+    Axis(
+        "strategy", "method.strategy", ("mis", "environment", "bsdf"), "variance by lobe and map", "lookups"
+    ),
+    Axis(
+        "light samples", "method.light_samples", (1, 2, 4, 8), "noise of direct light ~ N^-1/2", "shadow rays"
+    ),
+    Axis(
+        "sampler", "method.sampler", ("owen", "independent"), "slope -1/2 to -3/4 where smooth", "camera rays"
+    ),
+)
+"""Settings of light paths that trade accuracy for time, and the law expected."""
