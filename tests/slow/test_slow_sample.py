@@ -64,6 +64,8 @@ def pictures(tmp_path_factory) -> dict[int, Pictures]:
     job = load_job(
         CONFIG,
         [
+            # There are pictures of these frames alone; the others of the sequence would count as missing.
+            f"frames={','.join(map(str, maker().TRUTH_FRAMES))}",
             f"capture.frames={(SAMPLE / 'photo_linear_####.exr').as_posix()}",
             f"capture.poses={(SAMPLE / 'poses.json').as_posix()}",
             "capture.target=null",
