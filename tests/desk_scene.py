@@ -9,8 +9,6 @@ composite, and ours, and nothing else of high frequency.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -211,34 +209,3 @@ def judge(method, desk: Desk, frame: int, *, spp: int, seed: int = 0, **settings
         seconds,
         rays,
     )
-
-
-@contextmanager
-def rays_as_the_truth_starts_them() -> Iterator[None]:
-    """Within, kernels start rays as far off a surface as the truth's renderer does: 8.9e-5 (1 + |p|).
-
-    That is a tenth of a millimetre here, where ours is a tenth of a micrometre. It moves the edges of
-    hard shadows and takes away the fine shading of the bunny's dents: 0.4 per cent of its light under
-    the lamps, and up to 2.5 per cent of a tile's, which is several times the noise of the truth.
-    """
-    import warp as wp
-
-    from mrbatch.methods.delta_path_tracing import kernels
-    from mrbatch.scene import light_paths
-
-    @wp.func
-    def truth_offset(p: wp.vec3, ng: wp.vec3, d: wp.vec3, t: float) -> wp.vec3:
-        size = wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2])))
-        step = 8.940697e-5 * (1.0 + size)
-        if wp.dot(ng, d) < 0.0:
-            step = -step
-        return p + step * ng
-
-    ours = kernels.offset_origin
-    kernels.make_kernel.cache_clear()
-    kernels.offset_origin = light_paths.offset_origin = truth_offset
-    try:
-        yield
-    finally:
-        kernels.offset_origin = light_paths.offset_origin = ours
-        kernels.make_kernel.cache_clear()

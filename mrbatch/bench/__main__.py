@@ -1,4 +1,4 @@
-"""`python -m mrbatch.bench rays|threads|bounces|strategies JOB`: what one frame of a job takes, and why."""
+"""`python -m mrbatch.bench COMMAND JOB`: what one frame of a job takes, and why."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mrbatch.bench.ray_share import ray_share
 from mrbatch.bench.strategies import strategies as compare_strategies
 from mrbatch.bench.tables import draw_bounces, draw_strategies, write_json
 from mrbatch.bench.thread_scaling import thread_scaling
+from mrbatch.bench.time_to_error import time_to_error
 from mrbatch.bench.variants import Variants
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import MrbatchError
@@ -72,6 +73,59 @@ def threads(job: Path, settings: tuple[str, ...], frame: int | None, repeats: in
     click.echo(f"speed-up    {_text(found.speedup)}; same pixels: {'yes' if found.same else 'NO'}")
 
 
+def _told(text: str) -> None:
+    click.echo(f"{text} ...", err=True)
+
+
+@main.command()
+@_subject
+@click.option("--threads", default=1, show_default=True, type=click.IntRange(1))
+@click.option(
+    "--relmse",
+    default=1e-3,
+    show_default=True,
+    type=click.FloatRange(0, min_open=True),
+    help="Error to reach on the region of interest.",
+)
+@click.option(
+    "--reference-spp",
+    default=16384,
+    show_default=True,
+    type=click.IntRange(8),
+    help="Samples a pixel of the converged picture.",
+)
+def target(
+    job: Path,
+    settings: tuple[str, ...],
+    frame: int | None,
+    repeats: int,
+    threads: int,
+    relmse: float,
+    reference_spp: int,
+) -> None:
+    """Seconds of the pass until the picture's error is as small as asked."""
+    try:
+        found = time_to_error(
+            Variants(job, settings, frame=frame),
+            relmse,
+            repeats=repeats,
+            reference_spp=reference_spp,
+            threads=threads,
+            said=_told,
+        )
+    except (MrbatchError, ValueError) as error:
+        raise click.ClickException(str(error)) from error
+    spent = sorted(found.seconds)
+    click.echo(f"samples    {found.spp} a pixel")
+    click.echo(
+        f"relMSE     {found.relmse:.3g} on {int(found.reference.changed.sum())} pixels"
+        f" (the reference's own: {found.reference_relmse:.2g})"
+    )
+    click.echo(
+        f"pass       {spent[len(spent) // 2]:.3f} s [{spent[0]:.3f}, {spent[-1]:.3f}] on {threads} thread(s)"
+    )
+
+
 def _comparison(command):
     for option in (
         click.option("--threads", default=1, show_default=True, type=click.IntRange(1)),
@@ -88,10 +142,6 @@ def _comparison(command):
     ):
         command = option(command)
     return _subject(command)
-
-
-def _told(text: str) -> None:
-    click.echo(f"{text} ...", err=True)
 
 
 @main.command()

@@ -67,7 +67,8 @@ class Reference:
     """A converged picture (h, w, 3), scene-linear, photo units, and what to judge others by.
 
     `changed` (h, w) bool: the region of interest, where virtual objects change the photo. `covered` (h, w):
-    coverage by virtual objects. `error`: its own RMSE on the region, from two halves with seeds of their own.
+    coverage by virtual objects. `error`: its own RMSE on the region, from two halves with seeds of their
+    own; `noise`: half of their difference.
     """
 
     picture: np.ndarray
@@ -75,6 +76,7 @@ class Reference:
     covered: np.ndarray
     spp: int
     error: float
+    noise: np.ndarray
 
     def rmse(self, picture: np.ndarray, part: np.ndarray | None = None) -> float:
         """Root mean square of picture - reference over the region, or over the part of it in `part`."""
@@ -98,8 +100,9 @@ def converged(variants: Variants, spp: int, *settings: str, threads: int = 1) ->
     one, two = (run.composite.astype(np.float64) for run in runs)
     picture = (one + two) / 2
     changed = region_of_interest(picture, photo.astype(np.float64), deviation=np.abs(one - two) / 2)
-    error = float(np.sqrt(np.mean(((one - two) / 2)[changed] ** 2))) if changed.any() else 0.0
-    return Reference(picture, changed, (runs[0].coverage + runs[1].coverage) / 2, 2 * half, error)
+    noise = (one - two) / 2
+    error = float(np.sqrt(np.mean(noise[changed] ** 2))) if changed.any() else 0.0
+    return Reference(picture, changed, (runs[0].coverage + runs[1].coverage) / 2, 2 * half, error, noise)
 
 
 def seconds_in_turns(subjects: Mapping[str, Subject], repeats: int) -> dict[str, list[float]]:

@@ -45,11 +45,13 @@ def camera_path_flags(
         "engine": scene.engine,
         "bsdf_kinds": frozenset(kinds),
         "masking": settings.masking,
+        "ray_start": settings.ray_start,
         "camera_model": view.model,
         "distortion": view.distortion and on("lens-distortion"),
         "interpolation": light.interpolation,
         "sampler": settings.sampler,
         "light_sampler": light.light_sampler if settings.light_sampler == "auto" else settings.light_sampler,
+        "several_lights": settings.light_samples > 1,
         "strategy": settings.strategy if on("environment-light") else "bsdf",
         "shading": ShadingFlags(
             textures=on("textures"),

@@ -33,7 +33,7 @@ from mrbatch.kernels.numerics import (
     orthonormal_basis,
     to_world,
 )
-from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import cosine_hemisphere
 from mrbatch.scene.frame_params import FrameParams
 from mrbatch.scene.mesh import plane_of
@@ -97,7 +97,7 @@ def _make_kernels(
     environment = make_environment(interpolation, light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler("owen")
-    sample_2d, sample_2d_bits = sampler.sample_2d, sampler.sample_2d_bits
+    sample_vertex = sampler.sample_vertex
 
     @wp.kernel(enable_backward=False, module="unique")
     def identify(
@@ -172,7 +172,8 @@ def _make_kernels(
             basis = first_basis
             for bounce in range(int(BOUNCES)):
                 dimension = DIMENSION + 2 * bounce
-                light = env_sample(scene.environment, sample_2d_bits(key, n, dimension))
+                numbers_here = sample_vertex(key, n, dimension)
+                light = env_sample(scene.environment, numbers_here.light)
                 cosine = wp.dot(here.ns, light.direction)
                 if light.pdf > 0.0 and cosine > 0.0 and wp.dot(here.ng, light.direction) > 0.0:
                     o = offset_origin(here.p, here.ng, light.direction, here.reach)
@@ -184,7 +185,7 @@ def _make_kernels(
                         if change:
                             w = -w
                         value += wp.cw_mul(throughput, env_radiance(scene.environment, light.direction)) * w
-                local = cosine_hemisphere(sample_2d(key, n, dimension + 1))
+                local = cosine_hemisphere(unit_pair(numbers_here.scatter))
                 d = to_world(basis, local)
                 if local[2] <= 0.0 or wp.dot(here.ng, d) <= 0.0:
                     break

@@ -168,13 +168,38 @@ def env_sample(env: EnvironmentData, bits: wp.vec2ui) -> EnvironmentSample:
     return result
 
 
+@wp.func_native("""
+#if !defined(__CUDACC__)
+    __builtin_prefetch(table.data + element);
+#endif
+""")
+def _prefetch(table: wp.array(dtype=wp.vec4), element: int): ...
+
+
+@wp.func
+def _leaf(env: EnvironmentData, bits: wp.vec2ui) -> int:
+    lead = wp.uint32(env.leaf_bits)
+    rest = wp.uint32(32) - lead
+    return wp.int32(((bits[0] >> rest) << lead) | (bits[1] >> rest))
+
+
+@wp.func
+def median_cut_prefetch(env: EnvironmentData, bits: wp.vec2ui):
+    """Asks the memory for what `median_cut_sample` of these bits will read."""
+    _prefetch(env.leaves, _leaf(env, bits))
+
+
+@wp.func
+def no_prefetch(env: EnvironmentData, bits: wp.vec2ui):
+    """A search reads many places, that are only known one after the other."""
+
+
 @wp.func
 def median_cut_sample(env: EnvironmentData, bits: wp.vec2ui) -> EnvironmentSample:
     """A direction from leaves of equal probability, without a search; `bits`: two 32-bit fractions."""
     # The leading bits name the leaf, those that follow the place in it.
     lead = wp.uint32(env.leaf_bits)
-    rest = wp.uint32(32) - lead
-    leaf = env.leaves[wp.int32(((bits[0] >> rest) << lead) | (bits[1] >> rest))]
+    leaf = env.leaves[_leaf(env, bits)]
     z = leaf[0] - uint_to_float(bits[0] << lead) * leaf[1]
     azimuth = sine_cosine_turns(0.5 - (leaf[2] + uint_to_float(bits[1] << lead) * leaf[3]))
     sine = wp.sqrt(wp.max((1.0 - z) * (1.0 + z), 0.0))
@@ -222,6 +247,7 @@ class EnvironmentFunctions:
     radiance: Any
     pdf: Any
     sample: Any
+    prefetch: Any
 
 
 def _make(interpolate: Any) -> Any:
@@ -253,7 +279,10 @@ def make_environment(
     radiances = {"bilinear": env_radiance, "nearest": _nearest_radiance}
     if interpolation not in radiances:
         raise ValueError(f"unknown interpolation `{interpolation}`: expected bilinear or nearest")
-    samplers = {"median-cut": (median_cut_pdf, median_cut_sample), "cdf": (env_pdf, env_sample)}
+    samplers = {
+        "median-cut": (median_cut_pdf, median_cut_sample, median_cut_prefetch),
+        "cdf": (env_pdf, env_sample, no_prefetch),
+    }
     if sampler not in samplers:
         raise ValueError(f"unknown light sampler `{sampler}`: expected median-cut or cdf")
     return EnvironmentFunctions(interpolation, radiances[interpolation], *samplers[sampler])

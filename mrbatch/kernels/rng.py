@@ -19,6 +19,8 @@ import warp as wp
 
 _GOLDEN = wp.constant(wp.uint64(0x9E3779B97F4A7C15))
 _STRIDE = wp.constant(wp.uint64(0xD1342543DE82EF95))
+_STRIDE_C = wp.constant(wp.uint64(0xAF251AF3B0F025B5))
+_STRIDE_D = wp.constant(wp.uint64(0xF1357AEA2E62A9C5))
 _MIX_A = wp.constant(wp.uint64(0xBF58476D1CE4E5B9))
 _MIX_B = wp.constant(wp.uint64(0x94D049BB133111EB))
 _S27 = wp.constant(wp.uint64(27))
@@ -26,6 +28,7 @@ _S30 = wp.constant(wp.uint64(30))
 _S31 = wp.constant(wp.uint64(31))
 _S32 = wp.constant(wp.uint64(32))
 _LOW = wp.constant(wp.uint64(0xFFFFFFFF))
+_NONE = wp.constant(wp.uint32(0))
 _ONE64 = wp.constant(wp.uint64(1))
 
 _TO_FLOAT = wp.constant(wp.float32(2.0**-24))
@@ -188,12 +191,145 @@ def independent_2d_bits(key: wp.uint64, index: int, dimension: int) -> wp.vec2ui
     return wp.vec2ui(_high(bits), _low(bits))
 
 
+@wp.struct
+class VertexNumbers:
+    """Random numbers of a path's vertex, as pairs of 32-bit fractions: for a direction to the light, and for
+    a scattered one."""
+
+    light: wp.vec2ui
+    scatter: wp.vec2ui
+
+
+@wp.struct
+class StartNumbers:
+    """Random numbers of a path's start: of the point in the pixel, and of the vertex that it sees."""
+
+    pixel: wp.vec2ui
+    vertex: VertexNumbers
+
+
+vec8ui = wp.types.vector(length=8, dtype=wp.uint32)
+
+# Owen's scramble of eight words at once: every step waits for the one before, so that one number takes as
+# long as all of them. The same steps as `_scramble_reversed` and `_reverse_bits`.
+_LANES_STEPS = """
+    x = x ^ (x * 0x3D20ADEAu);
+    x = x + seed;
+    x = x * ((seed >> 16) | 1u);
+    x = x ^ (x * 0x05526C56u);
+    x = x ^ (x * 0x53A22864u);
+    x = ((x >> 1) & 0x55555555u) | ((x & 0x55555555u) << 1);
+    x = ((x >> 2) & 0x33333333u) | ((x & 0x33333333u) << 2);
+    x = ((x >> 4) & 0x0F0F0F0Fu) | ((x & 0x0F0F0F0Fu) << 4);
+    x = ((x >> 8) & 0x00FF00FFu) | ((x & 0x00FF00FFu) << 8);
+    x = (x >> 16) | (x << 16);
+"""
+_LANES_SOURCE = f"""
+#if defined(__clang__) && !defined(__CUDACC__)
+    typedef unsigned lanes __attribute__((ext_vector_type(8)));
+    lanes x, seed;
+    for (int k = 0; k < 8; ++k) {{ x[k] = words[k]; seed[k] = seeds[k]; }}
+    {_LANES_STEPS}
+    wp::vec_t<8, unsigned> result;
+    for (int k = 0; k < 8; ++k) result[k] = x[k];
+    return result;
+#else
+    wp::vec_t<8, unsigned> result;
+    for (int k = 0; k < 8; ++k) {{
+        unsigned x = words[k], seed = seeds[k];
+        {_LANES_STEPS}
+        result[k] = x;
+    }}
+    return result;
+#endif
+"""
+
+
+@wp.func_native(_LANES_SOURCE)
+def _scramble_lanes(words: vec8ui, seeds: vec8ui) -> vec8ui: ...
+
+
+@wp.func
+def _owen_lanes(a: wp.uint32, h: wp.uint64, b: wp.uint32, g: wp.uint64) -> vec8ui:
+    # Pairs of the permuted indices a and b, with scrambles from the hashes h and g: one of a, two of b.
+    a2 = _second_sobol_reversed(a)
+    b2 = _second_sobol_reversed(b)
+    return _scramble_lanes(
+        vec8ui(a, a2, b, b2, b, b2, _NONE, _NONE),
+        vec8ui(
+            _high(h),
+            _high(h * _STRIDE),
+            _high(g),
+            _high(g * _STRIDE),
+            _high(g * _STRIDE_C),
+            _high(g * _STRIDE_D),
+            _NONE,
+            _NONE,
+        ),
+    )
+
+
+@wp.func
+def owen_vertex(key: wp.uint64, index: int, dimension: int) -> VertexNumbers:
+    """Two Owen-scrambled Sobol pairs of one permutation of the index; the first is `owen_2d_bits`.
+
+    Both are scrambled on their own, so that numbers of one pair are independent of the other's, of whatever
+    index: a sum of a function of the first and one of the second, as light and scattered directions are
+    added at a vertex, has the variance of pairs with permutations of their own. Not for a function of both.
+    """
+    h = _dimension_hash(key, dimension)
+    x = _owen_lanes(_NONE, h, _owen_index(index, h), h)
+    result = VertexNumbers()
+    result.light = wp.vec2ui(x[2], x[3])
+    result.scatter = wp.vec2ui(x[4], x[5])
+    return result
+
+
+@wp.func
+def owen_start(key: wp.uint64, index: int, pixel: int, vertex: int) -> StartNumbers:
+    """`owen_2d_bits` of the dimension `pixel`, and `owen_vertex` of the dimension `vertex`."""
+    h = _dimension_hash(key, pixel)
+    g = _dimension_hash(key, vertex)
+    x = _owen_lanes(_owen_index(index, h), h, _owen_index(index, g), g)
+    result = StartNumbers()
+    result.pixel = wp.vec2ui(x[0], x[1])
+    result.vertex.light = wp.vec2ui(x[2], x[3])
+    result.vertex.scatter = wp.vec2ui(x[4], x[5])
+    return result
+
+
+@wp.func
+def independent_vertex(key: wp.uint64, index: int, dimension: int) -> VertexNumbers:
+    """Two random pairs."""
+    result = VertexNumbers()
+    result.light = independent_2d_bits(key, index, dimension)
+    result.scatter = independent_2d_bits(key, index, dimension + 1)
+    return result
+
+
+@wp.func
+def independent_start(key: wp.uint64, index: int, pixel: int, vertex: int) -> StartNumbers:
+    """A random pair of the dimension `pixel`, and those of the vertex."""
+    result = StartNumbers()
+    result.pixel = independent_2d_bits(key, index, pixel)
+    result.vertex = independent_vertex(key, index, vertex)
+    return result
+
+
+@wp.func
+def unit_pair(bits: wp.vec2ui) -> wp.vec2:
+    """Both as floats in [0, 1 - 2^-24]."""
+    return wp.vec2(uint_to_float(bits[0]), uint_to_float(bits[1]))
+
+
 @dataclass(frozen=True)
 class Sampler:
-    """Three `wp.func`s of (key: uint64, index: int, dimension: int).
+    """`wp.func`s of (key: uint64, index: int, dimension: int).
 
     `sample_1d` gives a float, `sample_2d` a vec2, both in [0, 1 - 2^-24]; `sample_2d_bits` a
-    vec2ui whose words are 32-bit fractions. Any `dimension` number may be used (0 to 2^32 - 1 as
+    vec2ui whose words are 32-bit fractions; `sample_vertex` the `VertexNumbers` of a dimension and the
+    next; `sample_start`, of (key, index, dimension of the pixel, dimension of the vertex), `StartNumbers`,
+    at less than the price of the parts. Any `dimension` number may be used (0 to 2^32 - 1 as
     unsigned); calls with the same one are the same numbers, a 1-D call being the first of the pair.
     """
 
@@ -201,11 +337,20 @@ class Sampler:
     sample_1d: Any
     sample_2d: Any
     sample_2d_bits: Any
+    sample_vertex: Any
+    sample_start: Any
 
 
 _SAMPLERS = {
-    "owen": Sampler("owen", owen_1d, owen_2d, owen_2d_bits),
-    "independent": Sampler("independent", independent_1d, independent_2d, independent_2d_bits),
+    "owen": Sampler("owen", owen_1d, owen_2d, owen_2d_bits, owen_vertex, owen_start),
+    "independent": Sampler(
+        "independent",
+        independent_1d,
+        independent_2d,
+        independent_2d_bits,
+        independent_vertex,
+        independent_start,
+    ),
 }
 
 

@@ -28,13 +28,14 @@ def concentric_disk(u: wp.vec2) -> wp.vec2:
     """Uniform point of the unit disc; area preserving with bounded distortion (Shirley and Chiu 1997)."""
     x = 2.0 * u[0] - 1.0
     y = 2.0 * u[1] - 1.0
-    if wp.abs(x) > wp.abs(y):
-        part = sine_cosine(_QUARTER_PI * (y / x))
-        return wp.vec2(x * part[1], x * part[0])
-    if y == 0.0:
-        return wp.vec2(0.0, 0.0)
-    part = sine_cosine(_QUARTER_PI * (x / y))
-    return wp.vec2(y * part[0], y * part[1])
+    # Which of both is longer is a coin's toss: chosen, not branched on.
+    wide = wp.abs(x) > wp.abs(y)
+    longer = wp.where(wide, x, y)
+    shorter = wp.where(wide, y, x)
+    part = sine_cosine(_QUARTER_PI * (shorter / wp.where(longer == 0.0, 1.0, longer)))
+    along = longer * part[1]
+    across = longer * part[0]
+    return wp.vec2(wp.where(wide, along, across), wp.where(wide, across, along))
 
 
 @wp.func

@@ -18,22 +18,20 @@ from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
+    RAY_STARTS,
     balance_heuristic_counts,
     max_component,
-    offset_origin,
     orthonormal_basis,
     to_local,
     to_world,
 )
-from mrbatch.kernels.rng import make_sampler
+from mrbatch.kernels.rng import VertexNumbers, make_sampler, unit_pair
 from mrbatch.scene.scene_data import RECEIVE, SceneData, SurfacePoint, surface_point
 from mrbatch.scene.shading import PhotoReflectance, ShadingFlags, make_surface
 
 DIM_PIXEL = wp.constant(wp.int32(0))
 DIM_VERTEX = wp.constant(wp.int32(8))
 """Dimensions of a vertex begin at this times the edges before it."""
-DIM_LIGHT = wp.constant(wp.int32(0))
-DIM_SCATTER = wp.constant(wp.int32(1))
 DIM_ROULETTE = wp.constant(wp.int32(2))
 ROULETTE_MOST = wp.constant(wp.float32(0.95))
 """A path survives roulette at most this often, so that it ends even among white walls."""
@@ -56,6 +54,9 @@ class PathFlags:
     light_sampler: str = "median-cut"
     strategy: str = "mis"
     shading: ShadingFlags = ShadingFlags()
+    several_lights: bool = False
+    """More than one direction is drawn from the environment where the camera's ray ends."""
+    ray_start: str = "exact"
     unreceptive: bool = False
     """Some object takes no light change from virtual objects."""
 
@@ -98,7 +99,8 @@ class PathFuncs:
     `path(scene, photo, numbers, among, start, direction, edges, key, index) -> Leg`: the radiance that
     leaves `start` against `direction`, traced among the objects of the ray set `among`; `edges`: those of
     the path from the camera to `start`. `lights_at(numbers, edges)`: directions drawn from the
-    environment at a vertex. `light_weight(count, light_pdf, scatter_pdf)`: weight of one of them;
+    environment at a vertex; `light_bits(drawn, key, index, number, count, dimension)`: the random numbers of
+    one of them, given those of the vertex. `light_weight(count, light_pdf, scatter_pdf)`: its weight;
     `scatter_weight(scatter_pdf, count, light_pdf)`: of the scattered direction. `survival(throughput,
     edges, numbers)`: how probably the path goes on. `sample_light`: directions are drawn from the
     environment at all.
@@ -106,6 +108,7 @@ class PathFuncs:
 
     path: Any
     lights_at: Any
+    light_bits: Any
     light_weight: Any
     scatter_weight: Any
     survival: Any
@@ -120,10 +123,15 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
+    sample_1d, sample_2d_bits, sample_vertex = (
+        sampler.sample_1d,
+        sampler.sample_2d_bits,
+        sampler.sample_vertex,
+    )
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at, emission_at = surfaces.surface, surfaces.normal, surfaces.emission
+    offset_origin = RAY_STARTS[flags.ray_start]
     sample_light = flags.strategy in ("mis", "environment")
     weigh = flags.strategy == "mis"
 
@@ -144,7 +152,17 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     @wp.func
     def lights_at(numbers: PathNumbers, edges: int) -> int:
         # Where the camera's ray ends, several: what they find is seen directly.
-        return wp.where(edges == 1, numbers.light_samples, 1)
+        if wp.static(flags.several_lights):
+            return wp.where(edges == 1, numbers.light_samples, 1)
+        return 1
+
+    @wp.func
+    def light_bits(
+        drawn: VertexNumbers, key: wp.uint64, index: int, number: int, count: int, dimension: int
+    ) -> wp.vec2ui:
+        if wp.static(flags.several_lights):
+            return sample_2d_bits(key, index * count + number, dimension)
+        return drawn.light
 
     @wp.func
     def survival(throughput: wp.vec3, edges: int, numbers: PathNumbers) -> float:
@@ -189,12 +207,13 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             basis = orthonormal_basis(point.ns)
             wo = to_local(basis, -d)
             lights = lights_at(numbers, edges)
+            numbers_here = sample_vertex(key, index, dimension)
+            # Before the light's ray, so that a processor works on both directions at once.
+            drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
             if wp.static(sample_light):
                 for number in range(lights):
-                    light = env_sample(
-                        scene.environment,
-                        sample_2d_bits(key, index * lights + number, dimension + DIM_LIGHT),
-                    )
+                    bits = light_bits(numbers_here, key, index, number, lights, dimension)
+                    light = env_sample(scene.environment, bits)
                     if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                         wi = to_local(basis, light.direction)
                         value = bsdf_evaluate(surface, wo, wi)
@@ -211,7 +230,6 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                                     )
                                     * w
                                 )
-            drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
             if max_component(drawn.weight) <= 0.0:
                 break
             d = to_world(basis, drawn.wi)
@@ -240,4 +258,4 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             point = surface_point(scene, hit.triangle, hit.u, hit.v, d)
         return leg
 
-    return PathFuncs(path, lights_at, light_weight, scatter_weight, survival, sample_light)
+    return PathFuncs(path, lights_at, light_bits, light_weight, scatter_weight, survival, sample_light)

@@ -34,6 +34,11 @@ class SamplingSettings(Settings):
     masking: Literal["height-correlated", "separable"] = Field(
         "height-correlated", description="How masking and shadowing of microfacets combine"
     )
+    ray_start: Literal["exact", "mitsuba"] = Field(
+        "exact",
+        description="How far off a surface rays start: as little as float numbers need, or as Mitsuba 3 does "
+        "(9e-5 of 1 m + |p|), for comparisons with it",
+    )
     batch: Annotated[int, Field(ge=1, le=256)] = Field(
         8, description="Samples that one step adds to each half, 1..256; changes no pixel"
     )

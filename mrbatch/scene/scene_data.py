@@ -159,7 +159,8 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
         local = (mesh.vertices - scene.origin).astype(np.float32)
         n = len(local)
         vertices.append(local)
-        smooth = mesh.normals is not None
+        # Normals that are the triangles' own, as planes and boxes from files carry them, say nothing new.
+        smooth = not mesh.normals_are_flat()
         normals.append(mesh.normals if mesh.normals is not None else np.zeros((n, 3), np.float32))
         uvs.append(mesh.uvs if mesh.uvs is not None else np.zeros((n, 2), np.float32))
         corners.append(mesh.faces + n_vertices)

@@ -13,6 +13,7 @@ from mrbatch.bench.__main__ import main
 from mrbatch.bench.bounces import METHODS, bounces
 from mrbatch.bench.strategies import STRATEGIES, strategies
 from mrbatch.bench.tables import as_json
+from mrbatch.bench.time_to_error import time_to_error
 from mrbatch.bench.variants import Variants, converged
 from mrbatch.errors import JobError
 
@@ -55,6 +56,22 @@ def test_reference_knows_its_own_error(variants):
     assert np.all(fine.changed[fine.covered == 1.0])
     assert 0.05 < fine.changed.mean() < 0.95
     assert np.isnan(fine.rmse(coarse.picture, np.zeros_like(fine.changed)))
+
+
+def test_time_to_error_is_of_a_picture_that_has_the_error(variants):
+    found = time_to_error(variants, 2e-3, repeats=3, reference_spp=8192)
+    assert len(found.seconds) == 3 and found.tried[0][0] == 4
+    assert found.reference_relmse < 0.25 * found.target
+    with variants.subject(f"method.spp={found.spp}") as subject:
+        picture = subject.run().composite
+    there = found.reference.changed
+    truth = found.reference.picture
+    floor = 1e-2 * np.abs(truth).mean() ** 2
+    relmse = np.mean(((picture - truth) ** 2 / (truth**2 + floor))[there])
+    assert relmse == pytest.approx(found.relmse, rel=1e-6)
+    assert found.relmse == pytest.approx(found.target, rel=0.5)
+    with pytest.raises(ValueError, match="give it more"):
+        time_to_error(variants, 1e-9, repeats=3, reference_spp=64)
 
 
 def test_bounces_compare_delta_path_tracing_with_its_baselines(variants):

@@ -36,6 +36,32 @@ def make_kernels(sampler: rng.Sampler):
 KERNELS = {kind: make_kernels(rng.make_sampler(kind)) for kind in ("owen", "independent")}
 
 
+def make_start_kernel(sampler: rng.Sampler):
+    sample_start, sample_vertex = sampler.sample_start, sampler.sample_vertex
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def draw(
+        key: wp.array(dtype=wp.uint64),
+        index: wp.array(dtype=int),
+        pixel: int,
+        vertex: int,
+        out: wp.array2d(dtype=wp.vec2ui),
+    ):
+        i = wp.tid()
+        start = sample_start(key[i], index[i], pixel, vertex)
+        alone = sample_vertex(key[i], index[i], vertex)
+        out[i, 0] = start.pixel
+        out[i, 1] = start.vertex.light
+        out[i, 2] = start.vertex.scatter
+        out[i, 3] = alone.light
+        out[i, 4] = alone.scatter
+
+    return draw
+
+
+START_KERNELS = {kind: make_start_kernel(rng.make_sampler(kind)) for kind in ("owen", "independent")}
+
+
 @wp.kernel(enable_backward=False)
 def _keys(words: wp.array2d(dtype=int), out: wp.array(dtype=wp.uint64)):
     i = wp.tid()
@@ -66,6 +92,20 @@ def draw(kind, key, index, dimension):
     wp.launch(KERNELS[kind], count, inputs=inputs, outputs=[a, b, c], device="cpu")
     precise = (c.numpy().astype(np.float64) + 0.5) * 2.0**-32
     return a.numpy().reshape(shape), b.numpy().reshape(*shape, 2), precise.reshape(*shape, 2)
+
+
+def draw_start(kind, key, index, pixel=0, vertex=8):
+    """(..., 5, 2) uint32: numbers of the pixel, of light and scatter at its vertex, and the latter alone."""
+    key, index = np.broadcast_arrays(key, index)
+    out = wp.zeros((key.size, 5), dtype=wp.vec2ui, device="cpu")
+    inputs = [
+        wp.array(np.ascontiguousarray(key.ravel(), dtype=np.uint64), device="cpu"),
+        wp.array(np.ascontiguousarray(index.ravel(), dtype=np.int32), device="cpu"),
+        pixel,
+        vertex,
+    ]
+    wp.launch(START_KERNELS[kind], key.size, inputs=inputs, outputs=[out], device="cpu")
+    return out.numpy().reshape(*key.shape, 5, 2)
 
 
 def keys(words):
@@ -166,6 +206,53 @@ def test_owen_equals_the_twin_to_the_bit():
     assert np.array_equal(precise, (twin + 0.5) * 2.0**-32)
     assert np.array_equal(two, ((twin >> 8) * 2.0**-24).astype(np.float32))
     assert np.array_equal(one, two[:, 0])
+
+
+def test_start_and_vertex_equal_the_twin_to_the_bit():
+    random = np.random.default_rng(4)
+    key = random.integers(0, 2**63, 300).astype(np.uint64) * np.uint64(2) + np.uint64(1)
+    index = np.concatenate([np.arange(150), random.integers(-(2**31), 2**31, 150)])
+    got = draw_start("owen", key, index, pixel=3, vertex=40)
+    for row, k, i in zip(got.tolist(), key.tolist(), index.tolist()):
+        pixel, light = twin_owen(k, i, 3), twin_owen(k, i, 40)
+        h = twin_mix(k + 41 * 0xD1342543DE82EF95 & M64)
+        x, y = twin_sobol(twin_scramble(i & M32, h & M32))
+        scatter = (
+            twin_scramble(x, (h * 0xAF251AF3B0F025B5 & M64) >> 32),
+            twin_scramble(y, (h * 0xF1357AEA2E62A9C5 & M64) >> 32),
+        )
+        assert [tuple(pair) for pair in row] == [pixel, light, scatter, light, scatter]
+
+
+def test_start_of_the_independent_sampler_is_its_pairs():
+    key = pixel_keys(16, 16).ravel()
+    got = (draw_start("independent", key, 5).astype(np.float64) + 0.5) * 2.0**-32
+    for column, dimension in ((0, 0), (1, 8), (2, 9), (3, 8), (4, 9)):
+        assert np.array_equal(got[:, column], draw("independent", key, 5, dimension)[2])
+
+
+def test_both_pairs_of_a_vertex_are_nets_and_independent_of_each_other():
+    """One permutation serves both. A sum of functions of one each, as light and scattered directions are
+    added, must have the variance that it has when both permutations differ; so must a path's later part."""
+    got = (draw_start("owen", pixel_keys(64, 64).ravel()[:, None], np.arange(16)) + 0.5) * 2.0**-32
+    pixel, light, scatter = (got[:, :, n] for n in range(3))
+    for points in (light, scatter):
+        box = np.floor(points[..., 0] * 4) * 4 + np.floor(points[..., 1] * 4)
+        assert np.array_equal(np.sort(box, axis=1), np.broadcast_to(np.arange(16), box.shape))
+
+    def mean_over_samples(points):
+        # Discontinuous, so that 16 samples leave noise.
+        return (points[..., 0] + points[..., 1] ** 2 < 0.7).mean(axis=1)
+
+    a, b, c = (mean_over_samples(points) for points in (pixel, light, scatter))
+    for x, y in ((a, b), (a, c), (b, c)):
+        assert abs(np.corrcoef(x, y)[0, 1]) < 4.0 / 64
+    # Nor are single numbers tied: each quarter of one with each quarter of another, at one index.
+    for x, y in ((pixel, light), (pixel, scatter), (light, scatter)):
+        for i, j in ((0, 0), (0, 1), (1, 1)):
+            for n in (0, 7):
+                count = np.histogram2d(x[:, n, i], y[:, n, j], bins=4, range=[[0, 1], [0, 1]])[0]
+                assert stats.chisquare(count.ravel()).pvalue > 1e-5
 
 
 def test_independent_is_one_number_in_three_forms():

@@ -98,8 +98,9 @@ def test_metal_that_focuses_light_is_bounded_by_the_brightest_of_the_map():
     focal = 2 * float(np.linalg.norm(target - at))
     mirror = dish(at, lamp / np.linalg.norm(lamp) + to_target, focal, 0.1)
     scene = scene_of([table(40.0), mirror], lamp_sky())
-    found = estimate(METHOD, scene, camera(), spp=256).developed.D
-    assert found.max() > 0.08, "no image of the lamp"
+    # Found by chance alone, by rays that leave the table for the dish: 0.09, with a tenth of noise left.
+    found = estimate(METHOD, scene, camera(), spp=8192).developed.D
+    assert found.max() > 0.06, "no image of the lamp"
     skipped, excess = skipped_change(scene.objects, lamp_sky(), camera(), 0.1, spp=256)
     assert skipped >= 3 and excess <= 0.0
 

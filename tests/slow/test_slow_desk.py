@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from desk_scene import SETS, desk, judge, rays_as_the_truth_starts_them
+from desk_scene import SETS, desk, judge
 
 from mrbatch.methods.delta_path_tracing import METHOD as DELTA
 from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
@@ -40,10 +40,14 @@ def test_composite_against_the_truth(shared_data, name, kind, frame, capsys):
 
 @pytest.mark.parametrize(("name", "kind", "frame"), CASES)
 def test_no_tile_differs_once_rays_start_where_the_truths_do(shared_data, name, kind, frame, capsys):
-    """The proof of the estimator: with the same offset of rays nothing but noise is left."""
+    """The proof of the estimator: with the same offset of rays nothing but noise is left.
+
+    The truth's is a tenth of a millimetre here, ours a tenth of a micrometre. It moves the edges of hard
+    shadows and takes away the fine shading of the bunny's dents: 0.4 per cent of its light under the lamps,
+    and up to 2.5 per cent of a tile's, which is several times the noise of the truth.
+    """
     scene = desk(shared_data, name, kind)
-    with rays_as_the_truth_starts_them():
-        test = judge(DELTA, scene, frame, spp=256, max_depth=8).test
+    test = judge(DELTA, scene, frame, spp=256, max_depth=8, ray_start="mitsuba").test
     with capsys.disabled():
         figures = f"z {test.largest:.2f} of {test.limit:.2f}, rms {test.rms:.2f}"
         print(f"\n{name} {kind} {frame}, offset of the truth: {figures}")

@@ -36,21 +36,19 @@ from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
+    RAY_STARTS,
     max_component,
-    offset_origin,
     orthonormal_basis,
     to_local,
     to_world,
 )
-from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
 from mrbatch.scene.frame_params import FrameParams
 from mrbatch.scene.light_paths import (
-    DIM_LIGHT,
     DIM_PIXEL,
     DIM_ROULETTE,
-    DIM_SCATTER,
     DIM_VERTEX,
     PathNumbers,
     make_paths,
@@ -87,15 +85,19 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     camera_ray = camera.ray
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
+    prefetch = environment.prefetch
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
+    sample_1d = sampler.sample_1d
+    sample_vertex, sample_start = sampler.sample_vertex, sampler.sample_start
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     funcs = make_surface(flags.shading, camera)
     bare_at, reflectance_at = funcs.bare, funcs.reflectance
     paths = make_paths(flags)
-    path, lights_at, survival = paths.path, paths.lights_at, paths.survival
+    path, lights_at, light_bits = paths.path, paths.lights_at, paths.light_bits
+    survival = paths.survival
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
+    offset_origin = RAY_STARTS[flags.ray_start]
 
     @wp.func
     def reach_of(scene: SceneData) -> RaySet:
@@ -130,7 +132,9 @@ def make_kernel(flags: Flags) -> DeltaKernel:
         vertices = int(0)
         for n in range(samples):
             index = first_sample + n
-            shift = pixel_filter(sample_2d(key, index, DIM_PIXEL))
+            start = sample_start(key, index, DIM_PIXEL, DIM_VERTEX)
+            prefetch(scene.environment, start.vertex.light)
+            shift = pixel_filter(unit_pair(start.pixel))
             primary = camera_ray(
                 frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
             )
@@ -168,6 +172,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                     if not is_virtual and not skip:
                         d = primary.direction
                         throughput = wp.vec3(1.0, 1.0, 1.0)
+                        numbers_here = start.vertex
                         while edges < numbers.max_edges:
                             vertices += 1
                             dimension = DIM_VERTEX * edges
@@ -176,12 +181,12 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             basis = orthonormal_basis(point.ns)
                             wo = to_local(basis, -d)
                             lights = lights_at(numbers, edges)
+                            # Before the light's ray, so that a processor works on both directions at once.
+                            drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
                             if wp.static(sample_light):
                                 for number in range(lights):
-                                    light = env_sample(
-                                        scene.environment,
-                                        sample_2d_bits(key, index * lights + number, dimension + DIM_LIGHT),
-                                    )
+                                    bits = light_bits(numbers_here, key, index, number, lights, dimension)
+                                    light = env_sample(scene.environment, bits)
                                     if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                                         wi = to_local(basis, light.direction)
                                         f = bsdf_evaluate(surface, wo, wi)
@@ -210,7 +215,6 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                                     )
                                                     * w
                                                 )
-                            drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
                             if max_component(drawn.weight) <= 0.0:
                                 break
                             d = to_world(basis, drawn.wi)
@@ -274,6 +278,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                     if (scene.objects[point.object].flags & RECEIVE) == 0:
                                         break
                                 edges += 1
+                                numbers_here = sample_vertex(key, index, DIM_VERTEX * edges)
                                 q = survival(throughput, edges, numbers)
                                 if q < 1.0:
                                     if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
@@ -281,12 +286,12 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                     throughput = throughput / q
                 for side in range(first_leg, legs):
                     among = scene.all_set
-                    start = plus
+                    origin = plus
                     if wp.static(flags.real_on_real):
                         if side == 1:
                             among = scene.real_set
-                            start = minus
-                    leg = path(scene, frame.photo, numbers, among, start, plus_direction, edges, key, index)
+                            origin = minus
+                    leg = path(scene, frame.photo, numbers, among, origin, plus_direction, edges, key, index)
                     shadow_rays += leg.shadow_rays
                     scatter_rays += leg.scatter_rays
                     lookups += leg.lookups

@@ -18,22 +18,21 @@ from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
+    RAY_STARTS,
     balance_heuristic,
     max_component,
-    offset_origin,
     orthonormal_basis,
     to_local,
     to_world,
 )
-from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.frame_params import FrameParams
 from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, SceneData, surface_point
 from mrbatch.scene.shading import ShadingFlags, make_surface
 
 DIM_PIXEL = wp.constant(wp.int32(0))
-DIM_LIGHT = wp.constant(wp.int32(8))
-DIM_SCATTER = wp.constant(wp.int32(9))
+DIM_VERTEX = wp.constant(wp.int32(8))
 
 
 @dataclass(frozen=True)
@@ -43,6 +42,7 @@ class Flags:
     engine: Engine = "embree"
     bsdf_kinds: frozenset[str] = frozenset({"diffuse"})
     masking: str = "height-correlated"
+    ray_start: str = "exact"
     camera_model: str = "perspective"
     distortion: bool = False
     interpolation: str = "bilinear"
@@ -65,7 +65,8 @@ def make_kernel(flags: Flags) -> Any:
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_2d, sample_2d_bits = sampler.sample_2d, sampler.sample_2d_bits
+    sample_start = sampler.sample_start
+    offset_origin = RAY_STARTS[flags.ray_start]
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at, emission_at = surfaces.surface, surfaces.normal, surfaces.emission
@@ -97,7 +98,8 @@ def make_kernel(flags: Flags) -> Any:
         nothing = wp.vec3(0.0, 0.0, 0.0)
         for n in range(samples):
             index = first_sample + n
-            shift = pixel_filter(sample_2d(key, index, DIM_PIXEL))
+            start = sample_start(key, index, DIM_PIXEL, DIM_VERTEX)
+            shift = pixel_filter(unit_pair(start.pixel))
             primary = camera_ray(
                 frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
             )
@@ -118,7 +120,7 @@ def make_kernel(flags: Flags) -> Any:
                     basis = orthonormal_basis(point.ns)
                     wo = to_local(basis, -primary.direction)
                     if wp.static(sample_light):
-                        light = env_sample(scene.environment, sample_2d_bits(key, index, DIM_LIGHT))
+                        light = env_sample(scene.environment, start.vertex.light)
                         if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                             wi = to_local(basis, light.direction)
                             f = bsdf_evaluate(surface, wo, wi)
@@ -135,7 +137,7 @@ def make_kernel(flags: Flags) -> Any:
                                     w *= balance_heuristic(light.pdf, bsdf_pdf(surface, wo, wi))
                                 value += wp.cw_mul(f, env_radiance(scene.environment, light.direction)) * w
                     if wp.static(sample_scatter):
-                        drawn = bsdf_sample(surface, wo, sample_2d(key, index, DIM_SCATTER))
+                        drawn = bsdf_sample(surface, wo, unit_pair(start.vertex.scatter))
                         d = to_world(basis, drawn.wi)
                         lit = max_component(drawn.weight) > 0.0 and wp.dot(point.ng, d) > 0.0
                         if wp.static(flags.occlusion):

@@ -30,6 +30,7 @@ def make_flags(
         engine=scene.engine,
         bsdf_kinds=frozenset(kinds),
         masking=settings.masking,
+        ray_start=settings.ray_start,
         camera_model=view.model,
         distortion=view.distortion and plan.on("lens-distortion"),
         interpolation=scene.scene.environment.interpolation,

@@ -25,16 +25,14 @@ from mrbatch.film.path_pipeline import CameraPathFlags
 from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
-from mrbatch.kernels.numerics import max_component, offset_origin, orthonormal_basis, to_local, to_world
-from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.numerics import RAY_STARTS, max_component, orthonormal_basis, to_local, to_world
+from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
 from mrbatch.scene.frame_params import FrameParams
 from mrbatch.scene.light_paths import (
-    DIM_LIGHT,
     DIM_PIXEL,
     DIM_ROULETTE,
-    DIM_SCATTER,
     DIM_VERTEX,
     Leg,
     PathNumbers,
@@ -55,14 +53,16 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_1d, sample_2d, sample_2d_bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
+    sample_1d, sample_2d, sample_vertex = sampler.sample_1d, sampler.sample_2d, sampler.sample_vertex
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at = surfaces.surface, surfaces.normal
     paths = make_paths(flags)
-    path, lights_at, survival = paths.path, paths.lights_at, paths.survival
+    path, lights_at, light_bits = paths.path, paths.lights_at, paths.light_bits
+    survival = paths.survival
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
+    offset_origin = RAY_STARTS[flags.ray_start]
 
     @wp.func
     def change(
@@ -100,12 +100,12 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             basis = orthonormal_basis(point.ns)
             wo = to_local(basis, -d)
             lights = lights_at(numbers, edges)
+            numbers_here = sample_vertex(key, index, dimension)
+            drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
             if wp.static(sample_light):
                 for number in range(lights):
-                    light = env_sample(
-                        scene.environment,
-                        sample_2d_bits(key, index * lights + number, dimension + DIM_LIGHT),
-                    )
+                    bits = light_bits(numbers_here, key, index, number, lights, dimension)
+                    light = env_sample(scene.environment, bits)
                     if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                         wi = to_local(basis, light.direction)
                         f = bsdf_evaluate(surface, wo, wi)
@@ -131,7 +131,6 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                                 real += arriving
                                 if mixed_open:
                                     mixed += arriving
-            drawn = bsdf_sample(surface, wo, sample_2d(key, index, dimension + DIM_SCATTER))
             if max_component(drawn.weight) <= 0.0:
                 break
             d = to_world(basis, drawn.wi)
