@@ -89,7 +89,7 @@ def _told(text: str) -> None:
 )
 @click.option(
     "--reference-spp",
-    default=16384,
+    default=4096,
     show_default=True,
     type=click.IntRange(8),
     help="Samples a pixel of the converged picture.",

@@ -38,7 +38,7 @@ def time_to_error(
     target: float,
     *,
     repeats: int = 5,
-    reference_spp: int = 16384,
+    reference_spp: int = 4096,
     threads: int = 1,
     said: Callable[[str], None] = lambda text: None,
 ) -> TimeToError:
