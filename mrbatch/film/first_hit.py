@@ -136,7 +136,7 @@ def _make_kernel(
                 hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
                 if hit.triangle >= 0:
                     point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
-                    flags = scene.objects[point.object].flags
+                    flags = point.flags
                     if (flags & VIRTUAL) != 0 and (flags & HOLDOUT) == 0:
                         hits += 1
                         if wp.static(wants.depth):

@@ -122,7 +122,7 @@ def _make_kernels(
             hit = trace(scene.photo_set, primary.origin, primary.direction, FAR)
             wp.atomic_add(counters, 0, wp.int64(1))
             if hit.triangle >= 0:
-                found = scene.triangle_object[hit.triangle]
+                found = scene.triangles[hit.triangle].object
         frame.photo.object[pixel.index] = found
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -287,10 +287,14 @@ def owen_vertex(key: wp.uint64, index: int, dimension: int) -> VertexNumbers:
 
 @wp.func
 def owen_start(key: wp.uint64, index: int, pixel: int, vertex: int) -> StartNumbers:
-    """`owen_2d_bits` of the dimension `pixel`, and `owen_vertex` of the dimension `vertex`."""
+    """A pair of the dimension `pixel`, and `owen_vertex` of the dimension `vertex`.
+
+    The pixel's pair takes samples in the sequence's own order, which saves a permutation: all others have
+    one of their own, so that it is no less independent of them.
+    """
     h = _dimension_hash(key, pixel)
     g = _dimension_hash(key, vertex)
-    x = _owen_lanes(_owen_index(index, h), h, _owen_index(index, g), g)
+    x = _owen_lanes(wp.uint32(index), h, _owen_index(index, g), g)
     result = StartNumbers()
     result.pixel = wp.vec2ui(x[0], x[1])
     result.vertex.light = wp.vec2ui(x[2], x[3])

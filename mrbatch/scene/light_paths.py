@@ -199,7 +199,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             dimension = DIM_VERTEX * edges
             if wp.static(flags.unreceptive):
                 # Light that reaches such a point has not met virtual objects, nor will it before the sky.
-                if (scene.objects[point.object].flags & RECEIVE) == 0:
+                if (point.flags & RECEIVE) == 0:
                     scene_set = scene.real_set
             surface = surface_at(scene, photo, point)
             if wp.static(flags.shading.normal_maps):

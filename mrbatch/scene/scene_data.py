@@ -14,6 +14,7 @@ from mrbatch.errors import InputError
 from mrbatch.kernels.bsdf import KINDS
 from mrbatch.kernels.environment import EnvironmentData
 from mrbatch.kernels.texture import TextureAtlas, build_texture_atlas
+from mrbatch.scene.mesh import Mesh
 from mrbatch.scene.scene import MAX_TRIANGLES, Scene
 
 VIRTUAL = wp.constant(wp.int32(1))
@@ -21,6 +22,20 @@ RECEIVE = wp.constant(wp.int32(2))
 HOLDOUT = wp.constant(wp.int32(4))
 PHOTO = wp.constant(wp.int32(8))
 SMOOTH = wp.constant(wp.int32(16))
+
+
+@wp.struct
+class TriangleData:
+    """What every hit asks for, in one line of the cache: first corner `a`, edges to the others, unit normal
+    `ng`; `object` number, `flags` of the object."""
+
+    a: wp.vec3
+    e1: wp.vec3
+    e2: wp.vec3
+    ng: wp.vec3
+    object: wp.int32
+    flags: wp.int32
+    _unused: wp.vec2
 
 
 @wp.struct
@@ -47,8 +62,8 @@ class SceneData:
     """Geometry, materials and light. Positions are metres relative to the scene's origin.
 
     Ray sets: `camera_set` is what the camera sees (real and virtual), `photo_set` its real part;
-    `all_set` what surfaces see, `real_set` and `virtual_set` its two parts. `facets` are the triangles' unit
-    normals, wanted at every hit.
+    `all_set` what surfaces see, `real_set` and `virtual_set` its two parts. `corners`: each triangle's
+    places in `normals` and `uvs`.
     """
 
     camera_set: RaySet
@@ -56,12 +71,10 @@ class SceneData:
     all_set: RaySet
     real_set: RaySet
     virtual_set: RaySet
-    vertices: wp.array(dtype=wp.vec3)
+    triangles: wp.array(dtype=TriangleData)
+    corners: wp.array(dtype=wp.vec3i)
     normals: wp.array(dtype=wp.vec3)
     uvs: wp.array(dtype=wp.vec2)
-    corners: wp.array(dtype=wp.vec3i)
-    facets: wp.array(dtype=wp.vec3)
-    triangle_object: wp.array(dtype=wp.int32)
     objects: wp.array(dtype=ObjectData)
     textures: TextureAtlas
     environment: EnvironmentData
@@ -71,14 +84,15 @@ class SceneData:
 class SurfacePoint:
     """A point on a surface, with normals that face the side it was seen from.
 
-    `ng` geometric, `ns` shading normal; `object` number; `triangle` and the weights `b` of its second and
-    third corner. `reach`: the length that the float error of `p` along `ng` is relative to.
+    `ng` geometric, `ns` shading normal; `object` number and its `flags`; `triangle` and the weights `b` of
+    its second and third corner. `reach`: the length that the float error of `p` along `ng` is relative to.
     """
 
     p: wp.vec3
     ng: wp.vec3
     ns: wp.vec3
     object: wp.int32
+    flags: wp.int32
     triangle: wp.int32
     b: wp.vec2
     reach: wp.float32
@@ -91,16 +105,17 @@ def surface_point(scene: SceneData, triangle: wp.int32, u: float, v: float, d: w
     The position is interpolated from the corners: exact to their float spacing, where origin plus
     distance times direction is not.
     """
-    c = scene.corners[triangle]
-    a = scene.vertices[c[0]]
-    e1 = scene.vertices[c[1]] - a
-    e2 = scene.vertices[c[2]] - a
+    t = scene.triangles[triangle]
+    a = t.a
+    e1 = t.e1
+    e2 = t.e2
     point = SurfacePoint()
-    point.object = scene.triangle_object[triangle]
+    point.object = t.object
+    point.flags = t.flags
     point.triangle = triangle
     point.b = wp.vec2(u, v)
     point.p = a + e1 * u + e2 * v
-    point.ng = scene.facets[triangle]
+    point.ng = t.ng
     point.ns = point.ng
     # Terms of the interpolation as they enter along the normal: 0 for a plane through an axis plane
     # of the origin, whose points are exact, however large its triangles.
@@ -109,7 +124,8 @@ def surface_point(scene: SceneData, triangle: wp.int32, u: float, v: float, d: w
         + wp.abs(point.ng[1]) * (wp.abs(a[1]) + u * wp.abs(e1[1]) + v * wp.abs(e2[1]))
         + wp.abs(point.ng[2]) * (wp.abs(a[2]) + u * wp.abs(e1[2]) + v * wp.abs(e2[2]))
     )
-    if (scene.objects[point.object].flags & SMOOTH) != 0:
+    if (t.flags & SMOOTH) != 0:
+        c = scene.corners[triangle]
         n = scene.normals[c[0]] * (1.0 - u - v) + scene.normals[c[1]] * u + scene.normals[c[2]] * v
         length = wp.length(n)
         if length > 0.0:
@@ -142,6 +158,21 @@ class DeviceScene:
     kept: tuple[Any, ...]
 
 
+_TRIANGLE = TriangleData.numpy_dtype()
+
+
+def _triangles(vertices: np.ndarray, mesh: Mesh, number: int, flags: int) -> np.ndarray:
+    """`TriangleData` of an object's faces; `vertices` (n, 3) float32, relative to the scene's origin."""
+    records = np.zeros(len(mesh.faces), dtype=_TRIANGLE)
+    corners = vertices[mesh.faces]
+    records["a"] = corners[:, 0]
+    records["e1"] = corners[:, 1] - corners[:, 0]
+    records["e2"] = corners[:, 2] - corners[:, 0]
+    records["ng"] = mesh.face_normals()
+    records["object"], records["flags"] = number, flags
+    return records
+
+
 def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
     """Builds the hierarchies and arrays of a scene.
 
@@ -150,7 +181,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
     start()
     data = SceneData()
     meshes: list[RayMesh] = []
-    vertices, normals, uvs, corners, facets, owners = [], [], [], [], [], []
+    triangles, normals, uvs, corners = [], [], [], []
     objects = []
     textures: list[np.ndarray] = []
     n_vertices = n_triangles = 0
@@ -158,14 +189,11 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
         mesh = item.mesh
         local = (mesh.vertices - scene.origin).astype(np.float32)
         n = len(local)
-        vertices.append(local)
         # Normals that are the triangles' own, as planes and boxes from files carry them, say nothing new.
         smooth = not mesh.normals_are_flat()
         normals.append(mesh.normals if mesh.normals is not None else np.zeros((n, 3), np.float32))
         uvs.append(mesh.uvs if mesh.uvs is not None else np.zeros((n, 2), np.float32))
         corners.append(mesh.faces + n_vertices)
-        facets.append(mesh.face_normals())
-        owners.append(np.full(len(mesh.faces), number, np.int32))
         meshes.append(RayMesh(number, local, mesh.faces, n_triangles))
         n_vertices += n
         n_triangles += len(mesh.faces)
@@ -177,6 +205,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
             | int(item.material.from_photo) * 8
             | int(smooth) * 16
         )
+        triangles.append(_triangles(local, mesh, number, entry.flags))
         entry.kind = KINDS[item.material.kind]
         entry.reflectance = wp.vec3(*item.material.reflectance)
         entry.alpha = item.material.alpha
@@ -207,13 +236,11 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
     def joined(parts: list[np.ndarray], width: int, dtype: type) -> np.ndarray:
         return np.concatenate(parts).astype(dtype) if parts else np.zeros((1, width), dtype)
 
-    data.vertices = wp.array(joined(vertices, 3, np.float32), dtype=wp.vec3, device=device)
     data.normals = wp.array(joined(normals, 3, np.float32), dtype=wp.vec3, device=device)
     data.uvs = wp.array(joined(uvs, 2, np.float32), dtype=wp.vec2, device=device)
-    data.facets = wp.array(joined(facets, 3, np.float32), dtype=wp.vec3, device=device)
     data.corners = wp.array(joined(corners, 3, np.int32), dtype=wp.vec3i, device=device)
-    owner = np.concatenate(owners) if owners else np.zeros(1, np.int32)
-    data.triangle_object = wp.array(owner, dtype=wp.int32, device=device)
+    records = np.concatenate(triangles) if triangles else np.zeros(1, _TRIANGLE)
+    data.triangles = wp.array(records, dtype=TriangleData, device=device)
     data.objects = wp.array(objects or [ObjectData()], dtype=ObjectData, device=device)
     data.textures = build_texture_atlas(textures, device=device)
     data.environment = scene.environment.upload(device)

@@ -68,13 +68,13 @@ def bent_normal(scene: SceneData, point: SurfacePoint, viewer: wp.vec3, local: w
     normal that would turn away from the viewer is bent only as far as it can be seen.
     """
     c = scene.corners[point.triangle]
-    e1 = scene.vertices[c[1]] - scene.vertices[c[0]]
-    e2 = scene.vertices[c[2]] - scene.vertices[c[0]]
+    e1 = scene.triangles[point.triangle].e1
+    e2 = scene.triangles[point.triangle].e2
     t1 = scene.uvs[c[1]] - scene.uvs[c[0]]
     t2 = scene.uvs[c[2]] - scene.uvs[c[0]]
     area = t1[0] * t2[1] - t2[0] * t1[1]
     # The map stands on the outside; seen from inside, all of it is turned over.
-    outward = wp.where(wp.dot(point.ng, scene.facets[point.triangle]) < 0.0, -1.0, 1.0)
+    outward = wp.where(wp.dot(point.ng, scene.triangles[point.triangle].ng) < 0.0, -1.0, 1.0)
     n = point.ns * outward
     along = (e1 * t2[1] - e2 * t1[1]) * wp.sign(area)
     along = along - n * wp.dot(n, along)
@@ -119,7 +119,7 @@ def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> SurfaceFuncs:
             if texture >= 0:
                 value = sample_texture(scene.textures, texture, texture_coordinates(scene, point))
         if wp.static(flags.photo):
-            if (scene.objects[point.object].flags & PHOTO) != 0:
+            if (point.flags & PHOTO) != 0:
                 value = from_photo(photo, point)
         return value
 

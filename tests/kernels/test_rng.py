@@ -214,7 +214,10 @@ def test_start_and_vertex_equal_the_twin_to_the_bit():
     index = np.concatenate([np.arange(150), random.integers(-(2**31), 2**31, 150)])
     got = draw_start("owen", key, index, pixel=3, vertex=40)
     for row, k, i in zip(got.tolist(), key.tolist(), index.tolist()):
-        pixel, light = twin_owen(k, i, 3), twin_owen(k, i, 40)
+        light = twin_owen(k, i, 40)
+        h = twin_mix(k + 4 * 0xD1342543DE82EF95 & M64)
+        x, y = twin_sobol(i & M32)
+        pixel = twin_scramble(x, h >> 32), twin_scramble(y, (h * 0xD1342543DE82EF95 & M64) >> 32)
         h = twin_mix(k + 41 * 0xD1342543DE82EF95 & M64)
         x, y = twin_sobol(twin_scramble(i & M32, h & M32))
         scatter = (

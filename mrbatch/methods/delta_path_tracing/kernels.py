@@ -149,7 +149,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             hit = trace(first_set, primary.origin, primary.direction, FAR)
             if primary.ok and hit.triangle >= 0:
                 point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
-                flags_here = scene.objects[point.object].flags
+                flags_here = point.flags
                 is_virtual = (flags_here & VIRTUAL) != 0
                 skip = bool(False)
                 if wp.static(flags.holdout):
@@ -233,8 +233,8 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                 behind_u = seen.u
                                 behind_v = seen.v
                                 if seen.triangle >= 0:
-                                    owner = scene.triangle_object[seen.triangle]
-                                    forks = (scene.objects[owner].flags & VIRTUAL) != 0
+                                    owner_flags = scene.triangles[seen.triangle].flags
+                                    forks = (owner_flags & VIRTUAL) != 0
                                 if forks:
                                     scatter_rays += 1
                                     behind = trace(scene.real_set, o, d, FAR)
@@ -275,7 +275,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             if wp.static(flags.real_on_real):
                                 point = surface_point(scene, behind_triangle, behind_u, behind_v, d)
                                 if wp.static(flags.unreceptive):
-                                    if (scene.objects[point.object].flags & RECEIVE) == 0:
+                                    if (point.flags & RECEIVE) == 0:
                                         break
                                 edges += 1
                                 numbers_here = sample_vertex(key, index, DIM_VERTEX * edges)

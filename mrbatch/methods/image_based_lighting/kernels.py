@@ -108,7 +108,7 @@ def make_kernel(flags: Flags) -> Any:
             hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
             if primary.ok and hit.triangle >= 0:
                 point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
-                here = scene.objects[point.object].flags
+                here = point.flags
                 if (here & VIRTUAL) != 0 and (here & HOLDOUT) == 0:
                     covered = 1.0
                     vertices += 1

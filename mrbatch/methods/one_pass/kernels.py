@@ -53,7 +53,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_1d, sample_2d, sample_vertex = sampler.sample_1d, sampler.sample_2d, sampler.sample_vertex
+    sample_1d, sample_vertex, sample_start = sampler.sample_1d, sampler.sample_vertex, sampler.sample_start
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at = surfaces.surface, surfaces.normal
@@ -92,7 +92,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             dimension = DIM_VERTEX * edges
             if wp.static(flags.unreceptive):
                 # Light that reaches such a point has not met virtual objects, nor will it before the sky.
-                if (scene.objects[point.object].flags & RECEIVE) == 0:
+                if (point.flags & RECEIVE) == 0:
                     mixed_set = scene.real_set
             surface = surface_at(scene, photo, point)
             if wp.static(flags.shading.normal_maps):
@@ -143,8 +143,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             behind = seen
             forks = bool(False)
             if seen.triangle >= 0:
-                owner = scene.triangle_object[seen.triangle]
-                forks = (scene.objects[owner].flags & VIRTUAL) != 0
+                owner_flags = scene.triangles[seen.triangle].flags
+                forks = (owner_flags & VIRTUAL) != 0
             if forks:
                 leg.scatter_rays += 1
                 behind = trace(scene.real_set, o, d, FAR)
@@ -217,7 +217,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
         vertices = int(0)
         for n in range(samples):
             index = first_sample + n
-            shift = pixel_filter(sample_2d(key, index, DIM_PIXEL))
+            shift = pixel_filter(unit_pair(sample_start(key, index, DIM_PIXEL, DIM_VERTEX).pixel))
             primary = camera_ray(
                 frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
             )
@@ -230,7 +230,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             hit = trace(first_set, primary.origin, primary.direction, FAR)
             if primary.ok and hit.triangle >= 0:
                 point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
-                here = scene.objects[point.object].flags
+                here = point.flags
                 is_virtual = (here & VIRTUAL) != 0
                 counts = is_virtual or wp.static(flags.light_change)
                 if wp.static(flags.holdout):

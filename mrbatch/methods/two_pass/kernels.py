@@ -22,11 +22,11 @@ from mrbatch.device.rays import FAR, rays
 from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
 from mrbatch.film.path_pipeline import CameraPathFlags
 from mrbatch.kernels.camera import make_camera
-from mrbatch.kernels.rng import make_sampler, pixel_key
+from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
 from mrbatch.scene.frame_params import FrameParams
-from mrbatch.scene.light_paths import DIM_PIXEL, PathNumbers, make_paths
+from mrbatch.scene.light_paths import DIM_PIXEL, DIM_VERTEX, PathNumbers, make_paths
 from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, surface_point
 
 WITHOUT = wp.constant(wp.int32(4))
@@ -38,7 +38,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     """The kernel for these flags: adds samples of one half to the film, one thread a pixel."""
     trace = rays(flags.engine).trace
     camera_ray = make_camera(flags.camera_model, flags.distortion).ray  # type: ignore[arg-type]
-    sample_2d = make_sampler(flags.sampler).sample_2d  # type: ignore[arg-type]
+    sample_start = make_sampler(flags.sampler).sample_start  # type: ignore[arg-type]
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     path = make_paths(flags).path
     pictures = 2 if flags.light_change else 1
@@ -75,7 +75,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                 key = pixel_key(
                     frame.seed, frame.frame, frame.view, half + picture * WITHOUT, pixel.x, pixel.y
                 )
-                shift = pixel_filter(sample_2d(key, index, DIM_PIXEL))
+                shift = pixel_filter(unit_pair(sample_start(key, index, DIM_PIXEL, DIM_VERTEX).pixel))
                 primary = camera_ray(
                     frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
                 )
@@ -85,7 +85,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                 hit = trace(first_set, primary.origin, primary.direction, FAR)
                 if primary.ok and hit.triangle >= 0:
                     point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
-                    here = scene.objects[point.object].flags
+                    here = point.flags
                     is_virtual = (here & VIRTUAL) != 0
                     counts = wp.where(is_virtual, picture == 0, wp.static(flags.light_change))
                     if wp.static(flags.holdout):
