@@ -178,7 +178,10 @@ class LightBounds:
             height = np.inf if side is None else body.box.height_above(side)
             if height <= 0.0:
                 continue
-            if self.exact or surface.item.material.kind != "diffuse":
+            if surface.item.material.kind != "diffuse":
+                # A highlight may show any of the map, and stands on a black base too.
+                return np.full_like(total, np.inf)
+            if self.exact:
                 return np.where(surface.albedo > 0.0, np.full_like(total, np.inf), 0.0)
             omega, slope = boxes.reach(body.box, height)
             # Taken away: the map's light or what real surfaces behind send. Added: what the object sends.
@@ -198,6 +201,6 @@ class LightBounds:
             share += np.minimum(slope * omega / np.pi, 1.0)
         factor = np.minimum(share, 1.0)[:, None] * surface.albedo
         if surface.item.material.kind != "diffuse":
-            factor = np.where(factor > 0.0, np.inf, 0.0)
+            factor = np.where(share[:, None] > 0.0, np.full_like(factor, np.inf), 0.0)
         with np.errstate(invalid="ignore"):
             return np.where((factor > 0.0) & (self.anywhere > 0.0), factor * self.anywhere, 0.0)

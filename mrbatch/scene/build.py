@@ -66,7 +66,7 @@ def scene_files(
     for item in items:
         if item.mesh is not None:
             files += [item.mesh, *further_files(item.mesh)]
-        look = item.material if isinstance(item, given.VirtualObject) else item
+        look = item.material or (item if isinstance(item, given.RealObject) else None)
         reflectance = look.reflectance if look is not None else None
         if isinstance(reflectance, given.Texture):
             files.append(reflectance.texture)
@@ -74,7 +74,9 @@ def scene_files(
 
 
 def _real(item: given.RealObject) -> SceneObject:
-    if item.reflectance == "photo":
+    if item.material is not None:
+        material = _surface(item.material)
+    elif item.reflectance == "photo":
         material = Material(from_photo=True)
     else:
         material = _material("diffuse", item.reflectance, 0.0)
@@ -88,12 +90,7 @@ def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ..
         if item.mesh is not None and item.mesh.suffix.lower() in GLTF_SUFFIXES:
             return _as_its_file_says(item, item.mesh)
         look = given.Diffuse()
-    alpha = 0.0 if isinstance(look, given.Diffuse) else look.roughness
-    material = replace(_material(look.type, look.reflectance, alpha), name=look.name or "")
-    if isinstance(look, given.Principled):
-        # Schlick's value at normal incidence is the interface's own.
-        f0 = ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
-        material = replace(material, metalness=look.metalness, f0=f0, edge=look.edge_tint)
+    material = _surface(look)
     if item.emission is not None:
         material = replace(material, emission=item.emission)
     return [(_object(item, material, _shape(item), virtual=True, holdout=item.holdout), ())]
@@ -165,6 +162,17 @@ def _shaded(mesh: Mesh, item: given.Object) -> Mesh:
     if item.normals == "flat":
         return replace(mesh, normals=None)
     return mesh
+
+
+def _surface(look: given.Material) -> Material:
+    """Of what a job gives as a material."""
+    alpha = 0.0 if isinstance(look, given.Diffuse) else look.roughness
+    material = replace(_material(look.type, look.reflectance, alpha), name=look.name or "")
+    if isinstance(look, given.Principled):
+        # Schlick's value at normal incidence is the interface's own.
+        f0 = ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
+        material = replace(material, metalness=look.metalness, f0=f0, edge=look.edge_tint)
+    return material
 
 
 def _material(kind: str, reflectance: object, alpha: float) -> Material:

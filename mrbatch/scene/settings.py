@@ -325,15 +325,25 @@ def _again(error: Any) -> InitErrorDetails:
 class RealObject(Object):
     """A surface of the captured place, as far as light needs it. Its picture is the photo's."""
 
-    reflectance: _ConstantTextureOrPhoto = Field(
+    reflectance: _ConstantTextureOrPhoto | None = Field(
+        None,
         description="Diffuse reflectance, linear Rec.709, 0..1: grey, [r, g, b], a texture, or `photo`, "
-        "which takes it from the picture by Delta = L_b dE / E_r"
+        "which takes it from the picture by Delta = L_b dE / E_r; this or `material` is given",
+    )
+    material: Material | None = Field(
+        None, description="How a surface reflects that is not matt; in place of `reflectance`"
     )
     holdout: bool = Field(
         False,
         description="Whether the photo stays untouched on it; it hides virtual objects, and others see it "
         "changed as before",
     )
+
+    @model_validator(mode="after")
+    def _one_look(self) -> RealObject:
+        if (self.reflectance is None) == (self.material is None):
+            raise ValueError("one of `reflectance` and `material` is given")
+        return self
 
 
 class VirtualObject(Object):

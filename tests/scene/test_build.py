@@ -120,3 +120,14 @@ def test_every_object_has_every_switch(switch):
         scene = build_scene(None, items[:1], items[1:])
         wanted = word.get(switch, usual)
         assert [getattr(o, switch) for o in scene.objects] == [wanted, wanted]
+
+
+def test_a_real_surface_has_a_reflectance_or_a_material():
+    base = {"name": "floor", "plane": {"size": ["1 m", "1 m"]}}
+    look = {"type": "principled", "reflectance": 0.4, "roughness": 0.2}
+    scene = build_scene(None, [given.RealObject.model_validate(base | {"material": look})], [])
+    material = scene.objects[0].material
+    assert (material.kind, material.alpha, material.f0) == ("principled", 0.2, pytest.approx(0.04))
+    for wrong in (base, base | {"material": look, "reflectance": 0.5}):
+        with pytest.raises(ValueError, match="one of `reflectance` and `material`"):
+            given.RealObject.model_validate(wrong)

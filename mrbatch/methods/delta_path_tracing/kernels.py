@@ -32,7 +32,7 @@ import warp as wp
 from mrbatch.device.rays import FAR, RaySet, rays
 from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
 from mrbatch.film.path_pipeline import CameraPathFlags
-from mrbatch.kernels.bsdf import make_bsdf
+from mrbatch.kernels.bsdf import Surface, make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
@@ -53,8 +53,8 @@ from mrbatch.scene.light_paths import (
     PathNumbers,
     make_paths,
 )
-from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, surface_point
-from mrbatch.scene.shading import make_surface
+from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, SurfacePoint, surface_point
+from mrbatch.scene.shading import PhotoReflectance, make_surface
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,8 @@ class Flags(CameraPathFlags):
     """A real point can see another real point."""
     virtual_paths: bool = True
     """Light goes on after the first scattering: bleeding, inter-reflection, reflections of surfaces."""
+    glossy_real: bool = False
+    """A real surface is not diffuse."""
     split: bool = False
     """The film keeps blocked and indirect light of D apart."""
 
@@ -91,13 +93,26 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     sample_vertex, sample_start = sampler.sample_vertex, sampler.sample_start
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     funcs = make_surface(flags.shading, camera)
-    bare_at, reflectance_at = funcs.bare, funcs.reflectance
+    bare_at, reflectance_at, surface_at = funcs.bare, funcs.reflectance, funcs.surface
     paths = make_paths(flags)
     path, lights_at, light_bits = paths.path, paths.lights_at, paths.light_bits
     survival = paths.survival
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
     offset_origin = RAY_STARTS[flags.ray_start]
+
+    # Of a diffuse surface reflectance is a factor, and is read only where it counts.
+    @wp.func
+    def real_surface(scene: SceneData, photo: PhotoReflectance, point: SurfacePoint) -> Surface:
+        if wp.static(flags.glossy_real):
+            return surface_at(scene, photo, point)
+        return bare_at(scene, photo, point)
+
+    @wp.func
+    def tinted(scene: SceneData, photo: PhotoReflectance, point: SurfacePoint, value: wp.vec3) -> wp.vec3:
+        if wp.static(flags.glossy_real):
+            return value
+        return wp.cw_mul(value, reflectance_at(scene, photo, point))
 
     @wp.func
     def reach_of(scene: SceneData) -> RaySet:
@@ -176,8 +191,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                         while edges < numbers.max_edges:
                             vertices += 1
                             dimension = DIM_VERTEX * edges
-                            # Real surfaces are diffuse, so reflectance is a factor: read where it counts.
-                            surface = bare_at(scene, frame.photo, point)
+                            surface = real_surface(scene, frame.photo, point)
                             basis = orthonormal_basis(point.ns)
                             wo = to_local(basis, -d)
                             lights = lights_at(numbers, edges)
@@ -207,7 +221,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                                     light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi))
                                                     / light.pdf
                                                 )
-                                                f = wp.cw_mul(f, reflectance_at(scene, frame.photo, point))
+                                                f = tinted(scene, frame.photo, point, f)
                                                 blocked -= (
                                                     wp.cw_mul(
                                                         wp.cw_mul(throughput, f),
@@ -245,9 +259,8 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                 forks = seen.triangle >= 0
                             if seen.triangle < 0:
                                 break
-                            throughput = wp.cw_mul(
-                                wp.cw_mul(throughput, drawn.weight), reflectance_at(scene, frame.photo, point)
-                            )
+                            throughput = wp.cw_mul(throughput, drawn.weight)
+                            throughput = tinted(scene, frame.photo, point, throughput)
                             if max_component(throughput) <= 0.0:
                                 break
                             if forks:

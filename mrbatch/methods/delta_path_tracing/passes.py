@@ -17,6 +17,7 @@ def make_flags(scene: DeviceScene, plan: Plan, settings: DeltaPathTracingSetting
         **camera_path_flags(scene, outputs, settings, plan.on),
         real_on_real=plan.on("real-on-real"),
         virtual_paths=plan.on("bleeding"),
+        glossy_real=plan.on("glossy") and any(o.material.kind != "diffuse" for o in scene.scene.real),
         split="D_indirect" in outputs.needs,
     )
 
