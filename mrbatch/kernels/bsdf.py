@@ -1,10 +1,11 @@
-"""Scattering of opaque surfaces: diffuse (Lambert), conductor (single-scattering GGX), principled.
+"""Scattering of surfaces: diffuse (Lambert), conductor (single-scattering GGX), principled, dielectric.
 
 Local frame: z is the shading normal; `wo` (to the viewer) and `wi` (to the light) are unit and point
 away from the surface. A caller who wants two sides flips the frame to the viewer first. Below the
 horizon, `wo.z <= 0` or `wi.z <= 0`, every kind gives exactly 0, diffuse too: a Lambert lobe that
 ignored the side of `wo` would be brighter at rims of interpolated normals, but would not be
-reciprocal there, and would disagree with other renderers, which cut it as well.
+reciprocal there, and would disagree with other renderers, which cut it as well. Only a dielectric
+(`mrbatch.kernels.dielectric`) lets light through, from directions with `wi.z < 0`.
 
 Conductor: D is GGX (Walter et al. 2007, eq. 33), masking is Smith's, Fresnel is the constant
 `reflectance` (a perfect conductor times a tint; white metal is reflectance 1). Only light that leaves
@@ -42,6 +43,7 @@ from typing import Any, Literal
 
 import warp as wp
 
+from mrbatch.kernels.dielectric import make_dielectric
 from mrbatch.kernels.ggx_albedo import ggx_albedo, ggx_albedo_mean
 from mrbatch.kernels.sampling import cosine_hemisphere, ggx_visible_normal
 
@@ -50,7 +52,8 @@ Masking = Literal["height-correlated", "separable"]
 DIFFUSE = wp.constant(0)
 CONDUCTOR = wp.constant(1)
 PRINCIPLED = wp.constant(2)
-KINDS = {"diffuse": 0, "conductor": 1, "principled": 2}
+DIELECTRIC = wp.constant(3)
+KINDS = {"diffuse": 0, "conductor": 1, "principled": 2, "dielectric": 3}
 """Number of each kind of surface, as `Surface.kind` holds it."""
 
 ALPHA_MIN = wp.constant(wp.float32(1.0e-4))
@@ -69,7 +72,8 @@ class Surface:
     """What scatters at a point: kind, reflectance (linear Rec.709, 0..1), GGX roughness alpha (conductor).
 
     Principled: `reflectance` is the base colour; `metalness` 0..1; `f0` reflectance of the dielectric
-    interface at normal incidence; `edge` tint of metal at 82 degrees, 0..1.
+    interface at normal incidence; `edge` tint of metal at 82 degrees, 0..1. Dielectric: `eta`, index of
+    refraction behind the surface over that on the viewer's side.
     """
 
     kind: wp.int32
@@ -78,6 +82,7 @@ class Surface:
     metalness: wp.float32
     f0: wp.float32
     edge: wp.vec3
+    eta: wp.float32
 
 
 @wp.struct
@@ -193,8 +198,11 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
     has_diffuse = "diffuse" in kinds
     has_conductor = "conductor" in kinds
     has_principled = "principled" in kinds
+    has_dielectric = "dielectric" in kinds
     several = len(kinds) > 1
     correlated = masking == "height-correlated"
+    glass = make_dielectric(correlated)
+    dielectric_evaluate, dielectric_pdf, dielectric_sample = glass.evaluate, glass.pdf, glass.sample
     tag = "_".join(sorted(kinds)) + ("" if correlated else "_separable")
 
     @wp.func(name=f"conductor_evaluate_{tag}")
@@ -328,6 +336,9 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
                         value = s.reflectance * (_INV_PI * wi[2])
                 else:
                     value = s.reflectance * (_INV_PI * wi[2])
+        if wp.static(has_dielectric):
+            if s.kind == DIELECTRIC:
+                value = s.reflectance * dielectric_evaluate(s.alpha, s.eta, wo, wi)
         return value
 
     @wp.func(name=f"bsdf_pdf_{tag}")
@@ -352,6 +363,9 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
                         value = _INV_PI * wi[2]
                 else:
                     value = _INV_PI * wi[2]
+        if wp.static(has_dielectric):
+            if s.kind == DIELECTRIC:
+                value = dielectric_pdf(s.alpha, s.eta, wo, wi)
         return value
 
     @wp.func(name=f"bsdf_sample_{tag}")
@@ -376,6 +390,12 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
                         drawn = diffuse_sample(s, u)
                 else:
                     drawn = diffuse_sample(s, u)
+            if wp.static(has_dielectric):
+                if s.kind == DIELECTRIC:
+                    bent = dielectric_sample(s.alpha, s.eta, wo, u)
+                    drawn.wi = bent.wi
+                    drawn.weight = s.reflectance * bent.weight
+                    drawn.pdf = bent.pdf
         return drawn
 
     return Bsdf(kinds, masking, evaluate, pdf, sample)
