@@ -95,21 +95,6 @@ def offset_origin(p: wp.vec3, ng: wp.vec3, d: wp.vec3, t: float) -> wp.vec3:
 
 
 @wp.func
-def mitsuba_origin(p: wp.vec3, ng: wp.vec3, d: wp.vec3, t: float) -> wp.vec3:
-    """The same as Mitsuba 3 starts rays: 1500 units of float32 at 1 + |p| off, a tenth of a millimetre in a
-    scene of metres, whatever the precision of p. It takes away the shading of finer dents."""
-    size = max_component(wp.vec3(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2])))
-    step = wp.static(1500.0 * 2.0**-24) * (1.0 + size)
-    if wp.dot(ng, d) < 0.0:
-        step = -step
-    return p + step * ng
-
-
-RAY_STARTS = {"exact": offset_origin, "mitsuba": mitsuba_origin}
-"""How far off a surface rays start: as little as the float's precision asks for, or as another renderer."""
-
-
-@wp.func
 def orthonormal_basis(n: wp.vec3) -> wp.mat33:
     """Right-handed frame round the unit vector `n`: columns t, b, n.
 

@@ -18,7 +18,6 @@ from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
-    RAY_STARTS,
     balance_heuristic_counts,
     max_component,
     orthonormal_basis,
@@ -26,6 +25,7 @@ from mrbatch.kernels.numerics import (
     to_world,
 )
 from mrbatch.kernels.rng import VertexNumbers, make_sampler, unit_pair
+from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import RECEIVE, SceneData, SurfacePoint, surface_point
 from mrbatch.scene.shading import PhotoReflectance, ShadingFlags, make_surface
 
@@ -131,7 +131,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at, emission_at = surfaces.surface, surfaces.normal, surfaces.emission
-    offset_origin = RAY_STARTS[flags.ray_start]
+    ray_start = make_ray_start(flags.ray_start)
     sample_light = flags.strategy in ("mis", "environment")
     weigh = flags.strategy == "mis"
 
@@ -219,7 +219,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                         value = bsdf_evaluate(surface, wo, wi)
                         if max_component(value) > 0.0:
                             leg.shadow_rays += 1
-                            o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                            o = ray_start(scene, point, light.direction)
                             if not occluded(scene_set, o, light.direction, FAR):
                                 leg.lookups += 1
                                 w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
@@ -237,7 +237,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                 break
             throughput = wp.cw_mul(throughput, drawn.weight)
             leg.scatter_rays += 1
-            o = offset_origin(point.p, point.ng, d, point.reach)
+            o = ray_start(scene, point, d)
             hit = trace(scene_set, o, d, FAR)
             if hit.triangle < 0:
                 w = scatter_weight(drawn.pdf, lights, env_pdf(scene.environment, d))

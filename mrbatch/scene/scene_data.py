@@ -63,9 +63,10 @@ class SceneData:
 
     Ray sets: `camera_set` is what the camera sees (real and virtual), `photo_set` its real part;
     `all_set` what surfaces see, `real_set` and `virtual_set` its two parts. `corners`: each triangle's
-    places in `normals` and `uvs`.
+    places in `normals` and `uvs`. `origin`: in the world.
     """
 
+    origin: wp.vec3
     camera_set: RaySet
     photo_set: RaySet
     all_set: RaySet
@@ -180,6 +181,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
     """
     start()
     data = SceneData()
+    data.origin = wp.vec3(*(float(c) for c in scene.origin))
     meshes: list[RayMesh] = []
     triangles, normals, uvs, corners = [], [], [], []
     objects = []

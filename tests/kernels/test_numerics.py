@@ -24,17 +24,6 @@ def _offset(
 
 
 @wp.kernel(enable_backward=False)
-def _mitsuba(
-    p: wp.array(dtype=wp.vec3),
-    n: wp.array(dtype=wp.vec3),
-    d: wp.array(dtype=wp.vec3),
-    out: wp.array(dtype=wp.vec3),
-):
-    i = wp.tid()
-    out[i] = nm.mitsuba_origin(p[i], n[i], d[i], 0.0)
-
-
-@wp.kernel(enable_backward=False)
 def _basis(n: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.mat33), back: wp.array(dtype=wp.vec3)):
     i = wp.tid()
     m = nm.orthonormal_basis(n[i])
@@ -137,16 +126,6 @@ def test_offset_scales_with_powers_of_two_to_the_bit(power):
     once = run(_offset, [p, n, d, t], len(p), wp.vec3)
     scaled = run(_offset, [p * factor, n, d, t * factor], len(p), wp.vec3)
     assert np.array_equal(scaled, once * factor)
-
-
-def test_rays_can_start_as_mitsuba_starts_them():
-    """`SurfaceInteraction.offset_p`: p + n sign(n.d) (1 + max |p|) eps, eps = 1500 x 2^-24."""
-    p = np.array([[0.5, -3.0, 0.25], [0, 0, 0]], np.float32)
-    n = np.array([[0, 0, 1], [0, 1, 0]], np.float32)
-    d = np.array([[1, 0, 1], [0, -1, 0]], np.float32)
-    start = run(_mitsuba, [p, n, d], 2, wp.vec3)
-    eps = 1500 * 2.0**-24
-    np.testing.assert_allclose(start - p, [[0, 0, 4 * eps], [0, -eps, 0]], rtol=1e-3, atol=0)
 
 
 def test_basis_is_a_rotation_with_n_as_third_column():

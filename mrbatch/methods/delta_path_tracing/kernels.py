@@ -36,7 +36,6 @@ from mrbatch.kernels.bsdf import Surface, make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
-    RAY_STARTS,
     max_component,
     orthonormal_basis,
     to_local,
@@ -53,6 +52,7 @@ from mrbatch.scene.light_paths import (
     PathNumbers,
     make_paths,
 )
+from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, SurfacePoint, surface_point
 from mrbatch.scene.shading import PhotoReflectance, make_surface
 
@@ -99,7 +99,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     survival = paths.survival
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
-    offset_origin = RAY_STARTS[flags.ray_start]
+    ray_start = make_ray_start(flags.ray_start)
 
     # Of a diffuse surface reflectance is a factor, and is read only where it counts.
     @wp.func
@@ -206,7 +206,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                         f = bsdf_evaluate(surface, wo, wi)
                                         if max_component(f) > 0.0:
                                             shadow_rays += 1
-                                            o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                                            o = ray_start(scene, point, light.direction)
                                             lost = occluded(scene.virtual_set, o, light.direction, FAR)
                                             if wp.static(flags.real_on_real):
                                                 if lost:
@@ -234,7 +234,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             d = to_world(basis, drawn.wi)
                             if wp.dot(point.ng, d) <= 0.0:
                                 break
-                            o = offset_origin(point.p, point.ng, d, point.reach)
+                            o = ray_start(scene, point, d)
                             scatter_rays += 1
                             behind_triangle = wp.int32(-1)
                             behind_u = float(0.0)

@@ -18,7 +18,6 @@ from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
-    RAY_STARTS,
     balance_heuristic,
     max_component,
     orthonormal_basis,
@@ -28,6 +27,7 @@ from mrbatch.kernels.numerics import (
 from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, SceneData, surface_point
 from mrbatch.scene.shading import ShadingFlags, make_surface
 
@@ -66,7 +66,7 @@ def make_kernel(flags: Flags) -> Any:
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_start = sampler.sample_start
-    offset_origin = RAY_STARTS[flags.ray_start]
+    ray_start = make_ray_start(flags.ray_start)
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at, emission_at = surfaces.surface, surfaces.normal, surfaces.emission
@@ -128,7 +128,7 @@ def make_kernel(flags: Flags) -> Any:
                             if wp.static(flags.occlusion):
                                 if open:
                                     shadow_rays += 1
-                                    o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                                    o = ray_start(scene, point, light.direction)
                                     open = not occluded(scene.all_set, o, light.direction, FAR)
                             if open:
                                 lookups += 1
@@ -143,7 +143,7 @@ def make_kernel(flags: Flags) -> Any:
                         if wp.static(flags.occlusion):
                             if lit:
                                 shadow_rays += 1
-                                o = offset_origin(point.p, point.ng, d, point.reach)
+                                o = ray_start(scene, point, d)
                                 lit = not occluded(scene.all_set, o, d, FAR)
                         if lit:
                             lookups += 1

@@ -25,7 +25,7 @@ from mrbatch.film.path_pipeline import CameraPathFlags
 from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
-from mrbatch.kernels.numerics import RAY_STARTS, max_component, orthonormal_basis, to_local, to_world
+from mrbatch.kernels.numerics import max_component, orthonormal_basis, to_local, to_world
 from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
@@ -38,6 +38,7 @@ from mrbatch.scene.light_paths import (
     PathNumbers,
     make_paths,
 )
+from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, SurfacePoint, surface_point
 from mrbatch.scene.shading import PhotoReflectance, make_surface
 
@@ -62,7 +63,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     survival = paths.survival
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
-    offset_origin = RAY_STARTS[flags.ray_start]
+    ray_start = make_ray_start(flags.ray_start)
 
     @wp.func
     def change(
@@ -110,7 +111,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                         wi = to_local(basis, light.direction)
                         f = bsdf_evaluate(surface, wo, wi)
                         if max_component(f) > 0.0:
-                            o = offset_origin(point.p, point.ng, light.direction, point.reach)
+                            o = ray_start(scene, point, light.direction)
                             leg.shadow_rays += 1
                             mixed_open = not occluded(mixed_set, o, light.direction, FAR)
                             # What is open among all objects is open among real ones.
@@ -137,7 +138,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             if wp.dot(point.ng, d) <= 0.0:
                 break
             throughput = wp.cw_mul(throughput, drawn.weight)
-            o = offset_origin(point.p, point.ng, d, point.reach)
+            o = ray_start(scene, point, d)
             leg.scatter_rays += 1
             seen = trace(mixed_set, o, d, FAR)
             behind = seen
