@@ -53,6 +53,13 @@ def _emission(facts: ShotFacts) -> Verdict:
     return needed("virtual objects that emit light", objects=len(lit))
 
 
+def _transmission(facts: ShotFacts) -> Verdict:
+    clear = [o for o in facts.scene.virtual if o.material.kind == "dielectric"]
+    if not clear:
+        return absent("no virtual object lets light through")
+    return needed("virtual objects that let light through", objects=len(clear))
+
+
 def _holdout(facts: ShotFacts) -> Verdict:
     if not any(o.holdout for o in facts.scene.objects):
         return absent("no object is a holdout")
@@ -99,6 +106,7 @@ GLOSSY = Rule("glossy", "glossy reflection", _glossy)
 TEXTURES = Rule("textures", "reflectance that varies over a surface", _textures)
 NORMAL_MAPS = Rule("normal-maps", "shading normals from a map", _normal_maps)
 EMISSION = Rule("emission", "light that virtual objects send of themselves", _emission)
+TRANSMISSION = Rule("transmission", "light through glass and the like", _transmission)
 HOLDOUT = Rule("holdout", "objects that show the photo, untouched, and hide virtual ones", _holdout)
 DISTORTION = Rule("lens-distortion", "distortion of the lens on the virtual layer", _distortion)
 ENVIRONMENT = Rule("environment-light", "light from the environment map", _environment)
@@ -113,6 +121,7 @@ WHOLE_PATH_RULES = (
     LIGHT_CHANGE,
     GLOSSY,
     EMISSION,
+    TRANSMISSION,
     NORMAL_MAPS,
     TEXTURES,
     PHOTO_REFLECTANCE,

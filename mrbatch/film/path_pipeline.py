@@ -59,6 +59,7 @@ def camera_path_flags(
             principled="principled" in kinds,
             normal_maps=on("normal-maps"),
             emission=on("emission"),
+            transmission=on("transmission"),
         ),
         "unreceptive": on("receive-switch"),
         "pixel_filter": settings.pixel_filter,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
 from mrbatch.scene.stored_picture import check_finite, colour_channels, primaries_of, read_stored
 
 SPHERE_SUBDIVISIONS = 6
+POLISHED = 1e-3
 
 
 def build_scene(
@@ -67,7 +69,7 @@ def scene_files(
         if item.mesh is not None:
             files += [item.mesh, *further_files(item.mesh)]
         look = item.material or (item if isinstance(item, given.RealObject) else None)
-        reflectance = look.reflectance if look is not None else None
+        reflectance = getattr(look, "reflectance", None)
         if isinstance(reflectance, given.Texture):
             files.append(reflectance.texture)
     return files
@@ -93,7 +95,19 @@ def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ..
     material = _surface(look)
     if item.emission is not None:
         material = replace(material, emission=item.emission)
-    return [(_object(item, material, _shape(item), virtual=True, holdout=item.holdout), ())]
+    found = _object(item, material, _shape(item), virtual=True, holdout=item.holdout)
+    return [_as_a_medium(found) if material.kind == "dielectric" else (found, ())]
+
+
+def _as_a_medium(item: SceneObject) -> tuple[SceneObject, tuple[str, ...]]:
+    """A clear object, and what has to be said of it."""
+    look = item.material
+    if look.ior == 1.0 and not any(look.absorption) and not look.most_emission.any():
+        note = f"`{item.name}` is clear and has the index of refraction of air: it cannot be seen"
+        return replace(item, camera=False, cast_shadow=False), (note,)
+    if not item.mesh.is_closed():
+        return item, (f"the mesh of `{item.name}` is not closed: light that goes in may not come out of it",)
+    return item, ()
 
 
 def _as_its_file_says(item: given.VirtualObject, path: Path) -> list[tuple[SceneObject, tuple[str, ...]]]:
@@ -166,6 +180,17 @@ def _shaded(mesh: Mesh, item: given.Object) -> Mesh:
 
 def _surface(look: given.Material) -> Material:
     """Of what a job gives as a material."""
+    if isinstance(look, given.Dielectric):
+        return Material(
+            "dielectric",
+            (1.0, 1.0, 1.0),
+            # What is nearly polished is polished: a smooth boundary has no noise.
+            0.0 if look.roughness < POLISHED else look.roughness,
+            name=look.name or "",
+            ior=look.ior,
+            absorption=tuple(-math.log(c) / look.depth for c in look.colour),  # type: ignore[arg-type]
+            priority=look.priority,
+        )
     alpha = 0.0 if isinstance(look, given.Diffuse) else look.roughness
     material = replace(_material(look.type, look.reflectance, alpha), name=look.name or "")
     if isinstance(look, given.Principled):

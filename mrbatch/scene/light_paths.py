@@ -13,8 +13,8 @@ from typing import Any
 
 import warp as wp
 
-from mrbatch.device.rays import FAR, Engine, RaySet, rays
-from mrbatch.kernels.bsdf import make_bsdf
+from mrbatch.device.rays import FAR, Engine, Hit, RaySet, rays
+from mrbatch.kernels.bsdf import DIELECTRIC, make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
@@ -25,6 +25,7 @@ from mrbatch.kernels.numerics import (
     to_world,
 )
 from mrbatch.kernels.rng import VertexNumbers, make_sampler, unit_pair
+from mrbatch.scene.media import Media, crossed, enters, index_of, medium_of, passed
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import RECEIVE, SceneData, SurfacePoint, surface_point
 from mrbatch.scene.shading import PhotoReflectance, ShadingFlags, make_surface
@@ -36,6 +37,8 @@ DIM_ROULETTE = wp.constant(wp.int32(2))
 ROULETTE_MOST = wp.constant(wp.float32(0.95))
 """A path survives roulette at most this often, so that it ends even among white walls."""
 ROULETTE_LEAST = wp.constant(wp.float32(0.05))
+MOST_UNSEEN = 32
+"""Boundaries inside denser media that one ray may pass."""
 UNLIMITED = 1 << 20
 """Edges that no path reaches."""
 
@@ -90,6 +93,17 @@ class Leg:
     scatter_rays: wp.int32
     lookups: wp.int32
     vertices: wp.int32
+
+
+@wp.struct
+class Onward:
+    """Where a ray ends: the hit, the media it is in there, the share of light that comes through them, and
+    further rays that this took."""
+
+    hit: Hit
+    media: Media
+    passed: wp.vec3
+    rays: wp.int32
 
 
 @dataclass(frozen=True)
@@ -171,6 +185,30 @@ def make_paths(flags: PathFlags) -> PathFuncs:
         return wp.clamp(max_component(throughput), ROULETTE_LEAST, ROULETTE_MOST)
 
     @wp.func
+    def follow(scene: SceneData, among: RaySet, first: Hit, direction: wp.vec3, media: Media) -> Onward:
+        """On from a ray's first hit, through boundaries at which the medium stays the same."""
+        onward = Onward()
+        onward.hit = first
+        onward.media = media
+        onward.passed = wp.vec3(1.0, 1.0, 1.0)
+        medium = medium_of(scene, media)
+        for _ in range(wp.static(MOST_UNSEEN)):
+            if onward.hit.triangle < 0:
+                break
+            onward.passed = wp.cw_mul(onward.passed, passed(scene, medium, onward.hit.t))
+            number = scene.triangles[onward.hit.triangle].object
+            if scene.objects[number].kind != DIELECTRIC:
+                break
+            point = surface_point(scene, onward.hit.triangle, onward.hit.u, onward.hit.v, direction)
+            beyond = crossed(onward.media, number, enters(scene, point))
+            if medium_of(scene, beyond) != medium:
+                break
+            onward.media = beyond
+            onward.rays += 1
+            onward.hit = trace(among, ray_start(scene, point, direction), direction, FAR)
+        return onward
+
+    @wp.func
     def path(
         scene: SceneData,
         photo: PhotoReflectance,
@@ -192,6 +230,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
         d = direction
         edges = int(edges_so_far)
         scene_set = among
+        media = Media()
         if wp.static(flags.shading.emission):
             leg.radiance = emission_at(scene, start)
         while edges < numbers.max_edges:
@@ -206,6 +245,17 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                 point.ns = normal_at(scene, point, -d)
             basis = orthonormal_basis(point.ns)
             wo = to_local(basis, -d)
+            if wp.static(flags.shading.transmission):
+                clear = scene.objects[point.object].kind == DIELECTRIC
+                beyond = media
+                if clear:
+                    beyond = crossed(media, point.object, enters(scene, point))
+                    surface.eta = index_of(scene, medium_of(scene, beyond)) / index_of(
+                        scene, medium_of(scene, media)
+                    )
+                    if surface.eta == 1.0:
+                        # Nothing to bend light: a rough boundary's facets would divide by 0.
+                        surface.alpha = 0.0
             lights = lights_at(numbers, edges)
             numbers_here = sample_vertex(key, index, dimension)
             # Before the light's ray, so that a processor works on both directions at once.
@@ -214,7 +264,10 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                 for number in range(lights):
                     bits = light_bits(numbers_here, key, index, number, lights, dimension)
                     light = env_sample(scene.environment, bits)
-                    if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
+                    side = wp.dot(point.ng, light.direction)
+                    if wp.static(flags.shading.transmission):
+                        side *= wp.dot(point.ns, light.direction)
+                    if light.pdf > 0.0 and side > 0.0:
                         wi = to_local(basis, light.direction)
                         value = bsdf_evaluate(surface, wo, wi)
                         if max_component(value) > 0.0:
@@ -233,12 +286,23 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             if max_component(drawn.weight) <= 0.0:
                 break
             d = to_world(basis, drawn.wi)
-            if wp.dot(point.ng, d) <= 0.0:
+            leaving = wp.dot(point.ng, d)
+            if wp.static(flags.shading.transmission):
+                leaving *= drawn.wi[2]
+            if leaving <= 0.0:
                 break
             throughput = wp.cw_mul(throughput, drawn.weight)
             leg.scatter_rays += 1
             o = ray_start(scene, point, d)
             hit = trace(scene_set, o, d, FAR)
+            if wp.static(flags.shading.transmission):
+                if clear and drawn.wi[2] < 0.0:
+                    media = beyond
+                onward = follow(scene, scene_set, hit, d, media)
+                hit = onward.hit
+                media = onward.media
+                leg.scatter_rays += onward.rays
+                throughput = wp.cw_mul(throughput, onward.passed)
             if hit.triangle < 0:
                 w = scatter_weight(drawn.pdf, lights, env_pdf(scene.environment, d))
                 if w > 0.0:

@@ -47,6 +47,16 @@ class Mesh:
         """(m, 3) float64 unit normals of the triangles; 0 for one without area."""
         return _unit(self._face_vectors())
 
+    def is_closed(self) -> bool:
+        """Whether every edge has triangles on both sides; vertices at the same place are one."""
+        _, same = np.unique(self.vertices, axis=0, return_inverse=True)
+        faces = same.reshape(-1)[self.faces]
+        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        # Each edge is walked as often forth as back.
+        forth = np.where(edges[:, 0] < edges[:, 1], 1, -1)
+        _, number = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+        return bool(np.all(np.bincount(number.reshape(-1), weights=forth) == 0))
+
     def normals_are_flat(self) -> bool:
         """Whether there are no vertex normals, or they are the triangles' own to float32's last digits,
         on either side."""

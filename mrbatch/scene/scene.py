@@ -26,13 +26,16 @@ class Texture:
 class Material:
     """How a surface reflects.
 
-    `kind`: a name of mrbatch.kernels.bsdf ("diffuse", "conductor", "principled"). `reflectance` (3,)
+    `kind`: a name of mrbatch.kernels.bsdf ("diffuse", "conductor", "principled",
+    "dielectric"). `reflectance` (3,)
     linear in 0..1; `texture` multiplies in place of it. `alpha`: GGX roughness. `from_photo`: the diffuse
     reflectance of a real surface is what the photo and the light say it is. `name`: what masks by material
     call it; empty: as its object. `metalness`, `f0` and `edge` (3,) as in `kernels.bsdf.Surface`.
     `surface_texture`: alpha in red and metalness in green, in place of the two. `normal_texture`: shading
     normals in the frame of u, v and the surface's own, of any length. `emission` (3,): radiance that the
-    surface sends of itself, to both sides, in the map's units; `emission_texture` in place of it.
+    surface sends of itself, to both sides, in the map's units; `emission_texture` in place of it. Of kind
+    "dielectric": index of refraction `ior` of what a closed mesh is full of, its `absorption` (3,) in 1/m,
+    and its `priority` where media overlap.
     """
 
     kind: str = "diffuse"
@@ -48,6 +51,9 @@ class Material:
     normal_texture: Texture | None = None
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     emission_texture: Texture | None = None
+    ior: float = 1.0
+    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    priority: int = 0
 
     @property
     def most_emission(self) -> np.ndarray:

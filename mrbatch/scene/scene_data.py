@@ -41,7 +41,8 @@ class TriangleData:
 @wp.struct
 class ObjectData:
     """One object: flags (bits above), BSDF kind, reflectance, GGX alpha, texture number or -1, and what
-    only a principled surface has (`kernels.bsdf.Surface`)."""
+    only a principled surface has (`kernels.bsdf.Surface`). Of a dielectric: index of refraction, absorption
+    1/m, priority among overlapping ones (`scene.media`)."""
 
     flags: wp.int32
     kind: wp.int32
@@ -55,6 +56,9 @@ class ObjectData:
     normal_texture: wp.int32
     emission: wp.vec3
     emission_texture: wp.int32
+    ior: wp.float32
+    priority: wp.int32
+    absorption: wp.vec3
 
 
 @wp.struct
@@ -213,6 +217,9 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
         entry.alpha = item.material.alpha
         entry.metalness = item.material.metalness
         entry.f0 = item.material.f0
+        entry.ior = item.material.ior
+        entry.priority = item.material.priority
+        entry.absorption = wp.vec3(*item.material.absorption)
         entry.edge = wp.vec3(*item.material.edge)
         entry.texture = -1
         if item.material.texture is not None:

@@ -189,7 +189,36 @@ class Principled(Settings):
     )
 
 
-Material = Annotated[Diffuse | Conductor | Principled, Field(discriminator="type")]
+Left = Annotated[Number, Field(gt=0.0, le=1.0)]
+
+
+class Dielectric(Settings):
+    """Glass, water, gems: a closed mesh full of a clear or coloured medium."""
+
+    type: Literal["dielectric"] = Field("dielectric", description="Kind of material")
+    name: Name | None = Field(
+        None, description="Name in the layer `crypto_material`, which objects may share; none: the object's"
+    )
+    ior: Annotated[Number, Field(ge=1.0, le=4.0)] = Field(
+        1.5, description="Index of refraction, 1..4: water 1.33, glass 1.5, diamond 2.4"
+    )
+    roughness: Reflectance = Field(
+        0.0, description="GGX alpha of the surface (not its root), 0..1; 0: polished"
+    )
+    colour: Annotated[tuple[Left, Left, Left], BeforeValidator(_to_triple)] = Field(
+        (1.0, 1.0, 1.0),
+        description="Share of light that is left after `depth` of the medium, above 0..1: grey or [r, g, b]",
+    )
+    depth: PositiveLength = Field(
+        0.1, description="Length of the way after which `colour` is left: a length above 0"
+    )
+    priority: Annotated[int, Field(ge=-100, le=100)] = Field(
+        0,
+        description="Where media overlap the one of highest priority is there: let glass beat its water",
+    )
+
+
+Material = Annotated[Diffuse | Conductor | Principled | Dielectric, Field(discriminator="type")]
 
 
 class Transform(Settings):
@@ -343,6 +372,8 @@ class RealObject(Object):
     def _one_look(self) -> RealObject:
         if (self.reflectance is None) == (self.material is None):
             raise ValueError("one of `reflectance` and `material` is given")
+        if isinstance(self.material, Dielectric):
+            raise ValueError("a real surface is opaque: its material is diffuse, conductor or principled")
         return self
 
 

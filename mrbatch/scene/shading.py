@@ -40,6 +40,7 @@ class ShadingFlags:
     principled: bool = False
     normal_maps: bool = False
     emission: bool = False
+    transmission: bool = False
 
 
 @dataclass(frozen=True)

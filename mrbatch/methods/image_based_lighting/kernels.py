@@ -27,6 +27,7 @@ from mrbatch.kernels.numerics import (
 from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.media import enters
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, SceneData, surface_point
 from mrbatch.scene.shading import ShadingFlags, make_surface
@@ -119,6 +120,10 @@ def make_kernel(flags: Flags) -> Any:
                         point.ns = normal_at(scene, point, -primary.direction)
                     basis = orthonormal_basis(point.ns)
                     wo = to_local(basis, -primary.direction)
+                    if wp.static(flags.shading.transmission):
+                        surface.eta = scene.objects[point.object].ior
+                        if not enters(scene, point):
+                            surface.eta = 1.0 / surface.eta
                     if wp.static(sample_light):
                         light = env_sample(scene.environment, start.vertex.light)
                         if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
@@ -139,9 +144,13 @@ def make_kernel(flags: Flags) -> Any:
                     if wp.static(sample_scatter):
                         drawn = bsdf_sample(surface, wo, unit_pair(start.vertex.scatter))
                         d = to_world(basis, drawn.wi)
-                        lit = max_component(drawn.weight) > 0.0 and wp.dot(point.ng, d) > 0.0
+                        lit = max_component(drawn.weight) > 0.0 and wp.dot(point.ng, d) * drawn.wi[2] > 0.0
+                        if wp.static(flags.shading.transmission):
+                            if drawn.wi[2] < 0.0:
+                                # The map as it is seen through one boundary: what light leaves by is unknown.
+                                drawn.weight = drawn.weight * surface.eta * surface.eta
                         if wp.static(flags.occlusion):
-                            if lit:
+                            if lit and drawn.wi[2] > 0.0:
                                 shadow_rays += 1
                                 o = ray_start(scene, point, d)
                                 lit = not occluded(scene.all_set, o, d, FAR)

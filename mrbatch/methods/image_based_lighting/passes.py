@@ -44,6 +44,7 @@ def make_flags(
             textures=plan.on("textures"),
             principled="principled" in kinds,
             normal_maps=plan.on("normal-maps"),
+            transmission=plan.on("transmission"),
             emission=plan.on("emission"),
         ),
         occlusion=plan.on("occlusion"),
