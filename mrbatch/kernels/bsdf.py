@@ -44,6 +44,7 @@ from typing import Any, Literal
 import warp as wp
 
 from mrbatch.kernels.dielectric import make_dielectric
+from mrbatch.kernels.fresnel import f82_mean, f82_tint, fifth
 from mrbatch.kernels.ggx_albedo import ggx_albedo, ggx_albedo_mean
 from mrbatch.kernels.sampling import cosine_hemisphere, ggx_visible_normal
 
@@ -145,35 +146,6 @@ def _largest(a: wp.vec3) -> float:
 def _again(u: float) -> float:
     # A random number that was cut and stretched may round up to 1.
     return wp.min(u, wp.static(1.0 - 2.0**-24))
-
-
-@wp.func
-def _fifth(c: float) -> float:
-    # (1 - c)^5
-    x = wp.clamp(1.0 - c, 0.0, 1.0)
-    return x * x * x * x * x
-
-
-@wp.func
-def f82_tint(base: wp.vec3, edge: wp.vec3, cosine: float) -> wp.vec3:
-    """Fresnel reflectance of metal: Schlick through `base`, its value at cos 1/7 multiplied by `edge`."""
-    white = wp.vec3(1.0, 1.0, 1.0)
-    at_edge = base + (white - base) * wp.static((6.0 / 7.0) ** 5)
-    dip = wp.cw_mul(at_edge, white - edge) * wp.static(1.0 / (1.0 / 7.0 * (6.0 / 7.0) ** 6))
-    c = wp.clamp(cosine, 0.0, 1.0)
-    f = base + (white - base) * _fifth(c) - dip * (c * _fifth(c) * (1.0 - c))
-    return wp.vec3(wp.clamp(f[0], 0.0, 1.0), wp.clamp(f[1], 0.0, 1.0), wp.clamp(f[2], 0.0, 1.0))
-
-
-@wp.func
-def f82_mean(base: wp.vec3, edge: wp.vec3) -> wp.vec3:
-    """Cosine-weighted mean of `f82_tint` over the hemisphere: 2 integral of F mu d mu."""
-    white = wp.vec3(1.0, 1.0, 1.0)
-    at_edge = base + (white - base) * wp.static((6.0 / 7.0) ** 5)
-    dip = wp.cw_mul(at_edge, white - edge) * wp.static(1.0 / (1.0 / 7.0 * (6.0 / 7.0) ** 6))
-    # 2 int mu (1 - mu)^5 = 1 / 21; 2 int mu^2 (1 - mu)^6 = 1 / 126.
-    f = base + (white - base) * wp.static(1.0 / 21.0) - dip * wp.static(1.0 / 126.0)
-    return wp.vec3(wp.clamp(f[0], 0.0, 1.0), wp.clamp(f[1], 0.0, 1.0), wp.clamp(f[2], 0.0, 1.0))
 
 
 def make_bsdf(kinds: frozenset[str] = frozenset(KINDS), *, masking: Masking = "height-correlated") -> Bsdf:
@@ -289,7 +261,7 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
             left = found.single * (1.0 - there[0] - there[1]) / found.single_mean
             metal += found.multiple * (left * flat)
         under = found.under * (1.0 - s.f0 * there[0] - there[1]) / found.under_mean
-        fresnel = s.f0 + (1.0 - s.f0) * _fifth(cosine)
+        fresnel = s.f0 + (1.0 - s.f0) * fifth(cosine)
         plastic = wp.vec3(lobe, lobe, lobe) * fresnel + s.reflectance * (under * flat)
         return metal * s.metalness + plastic * (1.0 - s.metalness)
 

@@ -30,6 +30,7 @@ from typing import Any
 
 import warp as wp
 
+from mrbatch.kernels.fresnel import fresnel_dielectric
 from mrbatch.kernels.sampling import ggx_visible_normal
 
 _INV_PI = wp.constant(wp.float32(0.3183098861837907))
@@ -56,22 +57,6 @@ def refract(wo: wp.vec3, m: wp.vec3, eta: float) -> wp.vec3:
         return wp.vec3(0.0, 0.0, 0.0)
     cosine = wp.sqrt(1.0 - sine2)
     return wp.normalize((c / eta - cosine) * m - wo / eta)
-
-
-@wp.func
-def fresnel_dielectric(cosine: float, eta: float) -> float:
-    """Share of unpolarized light that is reflected, 1 beyond the critical angle; `cosine`: viewer's side."""
-    c = wp.clamp(cosine, 0.0, 1.0)
-    if eta == 1.0:
-        return 0.0
-    g2 = eta * eta - 1.0 + c * c
-    if g2 <= 0.0:
-        return 1.0
-    # Walter et al. 2007, equation 22: no angle behind the boundary, and no cancellation at grazing ones.
-    g = wp.sqrt(g2)
-    a = (g - c) / (g + c)
-    b = (c * (g + c) - 1.0) / (c * (g - c) + 1.0)
-    return 0.5 * a * a * (1.0 + b * b)
 
 
 @wp.func

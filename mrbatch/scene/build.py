@@ -12,6 +12,7 @@ import numpy as np
 
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import to_linear, to_rec709
+from mrbatch.scene import material_settings as looks
 from mrbatch.scene import settings as given
 from mrbatch.scene.environment import Environment, load_environment
 from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
@@ -70,7 +71,7 @@ def scene_files(
             files += [item.mesh, *further_files(item.mesh)]
         look = item.material or (item if isinstance(item, given.RealObject) else None)
         reflectance = getattr(look, "reflectance", None)
-        if isinstance(reflectance, given.Texture):
+        if isinstance(reflectance, looks.Texture):
             files.append(reflectance.texture)
     return files
 
@@ -91,7 +92,7 @@ def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ..
     if look is None:
         if item.mesh is not None and item.mesh.suffix.lower() in GLTF_SUFFIXES:
             return _as_its_file_says(item, item.mesh)
-        look = given.Diffuse()
+        look = looks.Diffuse()
     material = _surface(look)
     if item.emission is not None:
         material = replace(material, emission=item.emission)
@@ -178,9 +179,9 @@ def _shaded(mesh: Mesh, item: given.Object) -> Mesh:
     return mesh
 
 
-def _surface(look: given.Material) -> Material:
+def _surface(look: looks.Material) -> Material:
     """Of what a job gives as a material."""
-    if isinstance(look, given.Dielectric):
+    if isinstance(look, looks.Dielectric):
         return Material(
             "dielectric",
             (1.0, 1.0, 1.0),
@@ -191,9 +192,9 @@ def _surface(look: given.Material) -> Material:
             absorption=tuple(-math.log(c) / look.depth for c in look.colour),  # type: ignore[arg-type]
             priority=look.priority,
         )
-    alpha = 0.0 if isinstance(look, given.Diffuse) else look.roughness
+    alpha = 0.0 if isinstance(look, looks.Diffuse) else look.roughness
     material = replace(_material(look.type, look.reflectance, alpha), name=look.name or "")
-    if isinstance(look, given.Principled):
+    if isinstance(look, looks.Principled):
         # Schlick's value at normal incidence is the interface's own.
         f0 = ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
         material = replace(material, metalness=look.metalness, f0=f0, edge=look.edge_tint)
@@ -201,7 +202,7 @@ def _surface(look: given.Material) -> Material:
 
 
 def _material(kind: str, reflectance: object, alpha: float) -> Material:
-    if isinstance(reflectance, given.Texture):
+    if isinstance(reflectance, looks.Texture):
         pixels, notes = _texture(reflectance.texture, reflectance.colour)
         if reflectance.mean is not None:
             mean = pixels.reshape(-1, 3).mean(axis=0, dtype=np.float64)

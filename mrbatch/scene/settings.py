@@ -10,9 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import (
     BeforeValidator,
-    Discriminator,
     Field,
-    Tag,
     ValidationError,
     WithJsonSchema,
     field_validator,
@@ -21,46 +19,36 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from mrbatch.quantities import (
-    Albedo,
     Angle,
     Colour,
     InputPath,
-    Length,
     Number,
     Position,
     Positive,
-    Reflectance,
     Rotation,
     Settings,
     Vector3,
+)
+from mrbatch.scene.material_settings import (
+    ConstantTextureOrPhoto,
+    Dielectric,
+    Material,
+    Name,
+    PositiveLength,
+    to_triple,
+    to_tuple,
 )
 
 ORTHONORMAL_TOLERANCE = 1e-5
 """Largest entry of R^T R - 1 that a rotation given with six decimals may have."""
 
-NAME_PATTERN = r"^[^\W\d][\w -]*$"
-Name = Annotated[str, Field(pattern=NAME_PATTERN, max_length=64)]
-"""A letter, then letters, digits, spaces, `_` and `-`: no dots, so that `--set virtual.NAME.x=` works."""
-
-
-def _to_tuple(value: Any) -> Any:
-    return tuple(_to_tuple(item) for item in value) if isinstance(value, list) else value
-
-
-def _to_triple(value: Any) -> Any:
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return (float(value),) * 3
-    return _to_tuple(value)
-
-
-PositiveLength = Annotated[Length, Field(gt=0.0)]
 Row3 = tuple[Number, Number, Number]
 Row4 = tuple[Number, Number, Number, Number]
-Matrix3 = Annotated[tuple[Row3, Row3, Row3], BeforeValidator(_to_tuple)]
-Matrix4 = Annotated[tuple[Row4, Row4, Row4, Row4], BeforeValidator(_to_tuple)]
+Matrix3 = Annotated[tuple[Row3, Row3, Row3], BeforeValidator(to_tuple)]
+Matrix4 = Annotated[tuple[Row4, Row4, Row4, Row4], BeforeValidator(to_tuple)]
 Scale3 = Annotated[
     Vector3,
-    BeforeValidator(_to_triple),
+    BeforeValidator(to_triple),
     WithJsonSchema(
         {
             "anyOf": [
@@ -107,118 +95,6 @@ class Environment(Settings):
         if self.world_from_map is not None and self.yaw != 0.0:
             raise ValueError("`yaw` and `world_from_map` are both given: give one")
         return self
-
-
-class Texture(Settings):
-    """A reflectance that varies over the surface: a picture looked up at the mesh's UV."""
-
-    texture: InputPath = Field(description="The picture; u runs right, v up, 0..1 over the picture")
-    colour: Literal["srgb", "linear"] = Field(
-        "srgb", description="Transfer function of the picture's code values; reflectance is linear Rec.709"
-    )
-    mean: Albedo | None = Field(
-        None, description="Scales the texture so that its mean reflectance is this, 0..1; none: as it is"
-    )
-
-
-def _reflectance_tag(value: Any) -> str:
-    if isinstance(value, (dict, Texture)):
-        return "<texture>"
-    return "<photo>" if isinstance(value, str) else "<constant>"
-
-
-_ConstantOrTexture = Annotated[
-    Annotated[Albedo, Tag("<constant>")] | Annotated[Texture, Tag("<texture>")],
-    Discriminator(lambda value: "<texture>" if isinstance(value, (dict, Texture)) else "<constant>"),
-]
-_ConstantTextureOrPhoto = Annotated[
-    Annotated[Albedo, Tag("<constant>")]
-    | Annotated[Texture, Tag("<texture>")]
-    | Annotated[Literal["photo"], Tag("<photo>")],
-    Discriminator(_reflectance_tag),
-]
-
-
-class Diffuse(Settings):
-    """Reflects the same radiance in all directions (Lambert)."""
-
-    type: Literal["diffuse"] = Field("diffuse", description="Kind of material")
-    name: Name | None = Field(
-        None, description="Name in the layer `crypto_material`, which objects may share; none: the object's"
-    )
-    reflectance: _ConstantOrTexture = Field(
-        (0.5, 0.5, 0.5), description="Share of light reflected, linear Rec.709, 0..1, or a texture"
-    )
-
-
-class Conductor(Settings):
-    """Metal: GGX microfacets with a reflectance at normal incidence (Schlick)."""
-
-    type: Literal["conductor"] = Field("conductor", description="Kind of material")
-    name: Name | None = Field(
-        None, description="Name in the layer `crypto_material`, which objects may share; none: the object's"
-    )
-    reflectance: _ConstantOrTexture = Field(
-        (0.9, 0.9, 0.9),
-        description="Share of light reflected at normal incidence, linear Rec.709, 0..1, or a texture",
-    )
-    roughness: Reflectance = Field(0.15, description="GGX alpha (not its root), 0..1")
-
-
-class Principled(Settings):
-    """Plastic, lacquer, metal and mixtures: the opaque part of OpenPBR, no energy lost at any roughness."""
-
-    type: Literal["principled"] = Field("principled", description="Kind of material")
-    name: Name | None = Field(
-        None, description="Name in the layer `crypto_material`, which objects may share; none: the object's"
-    )
-    reflectance: _ConstantOrTexture = Field(
-        (0.8, 0.8, 0.8),
-        description="Base colour, linear Rec.709, 0..1, or a texture: what lies under the gloss; of metal, "
-        "what it reflects at normal incidence",
-    )
-    metalness: Reflectance = Field(0.0, description="0 plastic .. 1 metal")
-    roughness: Reflectance = Field(
-        0.1, description="GGX alpha, 0..1: the square of the roughness of Blender, glTF and OpenPBR"
-    )
-    ior: Annotated[Number, Field(ge=1.0, le=4.0)] = Field(
-        1.5, description="Index of refraction of the gloss over what is not metal, 1..4; 1: none"
-    )
-    edge_tint: Albedo = Field(
-        (1.0, 1.0, 1.0), description="Of metal: factor on its reflectance at 82 degrees, 0..1 (F82-tint)"
-    )
-
-
-Left = Annotated[Number, Field(gt=0.0, le=1.0)]
-
-
-class Dielectric(Settings):
-    """Glass, water, gems: a closed mesh full of a clear or coloured medium."""
-
-    type: Literal["dielectric"] = Field("dielectric", description="Kind of material")
-    name: Name | None = Field(
-        None, description="Name in the layer `crypto_material`, which objects may share; none: the object's"
-    )
-    ior: Annotated[Number, Field(ge=1.0, le=4.0)] = Field(
-        1.5, description="Index of refraction, 1..4: water 1.33, glass 1.5, diamond 2.4"
-    )
-    roughness: Reflectance = Field(
-        0.0, description="GGX alpha of the surface (not its root), 0..1; 0: polished"
-    )
-    colour: Annotated[tuple[Left, Left, Left], BeforeValidator(_to_triple)] = Field(
-        (1.0, 1.0, 1.0),
-        description="Share of light that is left after `depth` of the medium, above 0..1: grey or [r, g, b]",
-    )
-    depth: PositiveLength = Field(
-        0.1, description="Length of the way after which `colour` is left: a length above 0"
-    )
-    priority: Annotated[int, Field(ge=-100, le=100)] = Field(
-        0,
-        description="Where media overlap the one of highest priority is there: let glass beat its water",
-    )
-
-
-Material = Annotated[Diffuse | Conductor | Principled | Dielectric, Field(discriminator="type")]
 
 
 class Transform(Settings):
@@ -277,7 +153,7 @@ class Transform(Settings):
 class Plane(Settings):
     """A rectangle in z = 0 about the origin, facing +z; u runs along x, v along y."""
 
-    size: Annotated[tuple[PositiveLength, PositiveLength], BeforeValidator(_to_tuple)] = Field(
+    size: Annotated[tuple[PositiveLength, PositiveLength], BeforeValidator(to_tuple)] = Field(
         description="Extent along x and y: lengths above 0"
     )
 
@@ -285,8 +161,8 @@ class Plane(Settings):
 class Box(Settings):
     """A box about the origin."""
 
-    size: Annotated[tuple[PositiveLength, PositiveLength, PositiveLength], BeforeValidator(_to_tuple)] = (
-        Field(description="Extent along x, y and z: lengths above 0")
+    size: Annotated[tuple[PositiveLength, PositiveLength, PositiveLength], BeforeValidator(to_tuple)] = Field(
+        description="Extent along x, y and z: lengths above 0"
     )
 
 
@@ -354,7 +230,7 @@ def _again(error: Any) -> InitErrorDetails:
 class RealObject(Object):
     """A surface of the captured place, as far as light needs it. Its picture is the photo's."""
 
-    reflectance: _ConstantTextureOrPhoto | None = Field(
+    reflectance: ConstantTextureOrPhoto | None = Field(
         None,
         description="Diffuse reflectance, linear Rec.709, 0..1: grey, [r, g, b], a texture, or `photo`, "
         "which takes it from the picture by Delta = L_b dE / E_r; this or `material` is given",

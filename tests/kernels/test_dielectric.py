@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from mrbatch.kernels.dielectric import DielectricSample, fresnel_dielectric, make_dielectric
+from mrbatch.kernels.dielectric import DielectricSample, make_dielectric
+from mrbatch.kernels.fresnel import fresnel_dielectric
 
 wp.config.quiet = True
 
