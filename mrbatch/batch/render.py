@@ -122,16 +122,18 @@ class ShotRenderer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _next_cameras(self, number: int) -> Mapping[str, Camera]:
-        if "motion" not in self.outputs.needs:
-            return {}
+    def _next_number(self, number: int) -> int | None:
+        """Of the frame that motion is told to, where it is asked for."""
         frames = self.prepared.shot.frames
-        at = frames.index(number)
-        if at + 1 == len(frames):
+        at = frames.index(number) + 1
+        return frames[at] if "motion" in self.outputs.needs and at < len(frames) else None
+
+    def _next_cameras(self, later: int | None) -> Mapping[str, Camera]:
+        if later is None:
             return {}
         try:
             return frame_facts(
-                self.prepared.capture, self.prepared.shot.table, frames[at + 1], self.prepared.display
+                self.prepared.capture, self.prepared.shot.table, later, self.prepared.display
             ).cameras
         except InputError:
             return {}  # the next frame has no camera, so nothing is known to move
@@ -143,7 +145,11 @@ class ShotRenderer:
         timing = TimingNode(f"frame {number}")
         with timing.measure("read"):
             data = prepared.capture.frame(number, prepared.shot.table)
-            later = self._next_cameras(number)
+            next_number = self._next_number(number)
+            later = self._next_cameras(next_number)
+            shifts = None
+            if later and next_number is not None and prepared.scene.moves:
+                shifts = prepared.scene.shifts(number, next_number)
             views: dict[str, ViewInput] = {}
             mattes: dict[str, np.ndarray | None] = {}
             for view in self.outputs.views:
@@ -156,8 +162,11 @@ class ShotRenderer:
                     gain=np.asarray(given.gain, dtype=np.float64),
                     next_camera=later.get(view.name),
                     photo=photo,
+                    shifts=shifts,
                 )
                 mattes[view.name] = None if given.matte is None else framed(given.matte, size, window)
+        with timing.measure("move"):
+            self.scene.show(number)
         tiles = {view.name: prepared.shot.plan.tiles[number, view.name] for view in self.outputs.views}
         self.renderer.timing = timing
         rendered = self.renderer.render(

@@ -135,10 +135,10 @@ class InfluenceMask:
         self.light_change = light_change
         self._bounds: LightBounds | None = None
 
-    @property
-    def bounds(self) -> LightBounds:
-        if self._bounds is None:
-            self._bounds = LightBounds(self.facts.scene, exact=self.facts.half_code == 0.0)
+    def bounds(self, frame: int) -> LightBounds:
+        """Of a still scene the same for all frames, and found once."""
+        if self._bounds is None or self.facts.scene.moves:
+            self._bounds = LightBounds(self.facts.scene.at(frame), exact=self.facts.half_code == 0.0)
         return self._bounds
 
     def tiles(self, frame: FrameFacts, view: str) -> Influence:
@@ -153,12 +153,13 @@ class InfluenceMask:
             return Influence(np.zeros(0, np.int32), 0, 0, "there is no virtual object")
         seen = np.zeros(len(tiles), dtype=bool)
         changed = np.zeros(len(tiles), dtype=bool)
-        for body in self.bounds.virtual:
+        bounds = self.bounds(frame.number)
+        for body in bounds.virtual:
             if body.item.camera:
                 seen |= _overlaps(tiles, screen_rectangle(camera, body.box))
         gain = np.asarray(frame.gains[view], dtype=np.float64)
         receivers = 0
-        for body in self.bounds.real if self.light_change else ():
+        for body in bounds.real if self.light_change else ():
             if not (body.item.camera and body.item.receive):
                 continue
             here = _overlaps(tiles, screen_rectangle(camera, body.box))
@@ -167,7 +168,7 @@ class InfluenceMask:
             receivers += 1
             # What is known to change, or to be done anyway, needs no bound.
             rows = np.nonzero(here & ~seen & ~changed)[0]
-            changed[rows] = self._may_change(body, camera, tiles[rows], gain)
+            changed[rows] = self._may_change(bounds, body, camera, tiles[rows], gain)
         ids = np.nonzero(seen | changed)[0].astype(np.int32)
         more = int((changed & ~seen).sum())
         if len(ids) == 0:
@@ -181,7 +182,9 @@ class InfluenceMask:
             why += f"light may change in {more} more"
         return Influence(ids, int(seen.sum()), more, why)
 
-    def _may_change(self, surface: Body, camera: Camera, tiles: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    def _may_change(
+        self, bounds: LightBounds, surface: Body, camera: Camera, tiles: np.ndarray, gain: np.ndarray
+    ) -> np.ndarray:
         """(n,): where the light on a surface seen in the tiles may change by half a code value."""
         low, high = _surface_boxes(camera, tiles, surface.box, surface.plane)
         side: Side | None = None
@@ -192,6 +195,6 @@ class InfluenceMask:
             side = (normal * sign, offset * sign)
         found = np.zeros(len(tiles), dtype=bool)
         there = np.isfinite(low[:, 0])
-        bound = self.bounds.change(surface, Boxes(low[there], high[there]), side)
+        bound = bounds.change(surface, Boxes(low[there], high[there]), side)
         found[there] = np.any(gain * bound > self.facts.half_code, axis=1)
         return found

@@ -30,7 +30,8 @@ def bind_view(
     params.photo = photo_struct(view, frame, params.camera, photo, outputs.device)
     film = outputs.layout(view).data(frame.buffers, given.background)
     later = given.next_camera or given.camera
-    hits = first_hit_data(view, outputs, frame.buffers, camera_data(later, scene.scene.origin))
+    there = camera_data(later, scene.scene.origin)
+    hits = first_hit_data(view, outputs, frame.buffers, there, given.shifts)
     if not photo:
         return params, film, hits
     whole = given.background if given.photo is None else given.photo

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,9 +39,11 @@ COUNTERS = (Counter("camera rays", "rays", "rays from the camera for data layers
 @wp.struct
 class FirstHitData:
     """Arrays over the window's pixels; those that are not asked for have length 1. `next_camera` is the
-    camera of the next frame. `ranks` holds object numbers plus one, `share` their coverage."""
+    camera of the next frame, `shifts` take points of each object to where they are then. `ranks` holds
+    object numbers plus one, `share` their coverage."""
 
     next_camera: CameraData
+    shifts: wp.array(dtype=wp.mat44)
     depth: wp.array(dtype=wp.float32)
     normal: wp.array(dtype=wp.vec3)
     albedo: wp.array(dtype=wp.vec3)
@@ -60,6 +62,8 @@ class Wanted:
     motion: bool
     names: bool
     """Which objects are seen: for masks by the name of the object or of its material."""
+    moving: bool = False
+    """Objects move from frame to frame."""
 
     @property
     def any(self) -> bool:
@@ -146,7 +150,10 @@ def _make_kernel(
                         if wp.static(wants.albedo):
                             albedo += surface_at(scene, frame.photo, point).reflectance * weight
                         if wp.static(wants.motion):
-                            then = camera_project(out.next_camera, point.p)
+                            p = point.p
+                            if wp.static(wants.moving):
+                                p = wp.transform_point(out.shifts[point.object], p)
+                            then = camera_project(out.next_camera, p)
                             motion += wp.vec2(then[0] - x, then[1] - y)
                         if wp.static(wants.names):
                             placed = int(0)
@@ -170,9 +177,14 @@ def _make_kernel(
     return first_hit
 
 
-def first_hit_data(view: ViewOutput, outputs: Outputs, buffers: Any, next_camera: Any) -> Any:
-    """`FirstHitData` over allocated buffers."""
+def first_hit_data(
+    view: ViewOutput, outputs: Outputs, buffers: Any, next_camera: Any, shifts: np.ndarray | None = None
+) -> Any:
+    """`FirstHitData` over allocated buffers; `shifts` as in `ViewInput`."""
     data = FirstHitData()
+    if shifts is None:
+        shifts = np.eye(4)[None]
+    data.shifts = wp.array(shifts.astype(np.float32), dtype=wp.mat44, device=outputs.device)
     data.next_camera = next_camera
     dtypes = {"depth": wp.float32, "normal": wp.vec3, "albedo": wp.vec3, "motion": wp.vec2}
     for part, dtype in dtypes.items():
@@ -199,7 +211,7 @@ def first_hit_pass(
 
     The context's `bound[view]` must start with FrameParams, FilmData and FirstHitData.
     """
-    wants = wanted(outputs)
+    wants = replace(wanted(outputs), moving=scene.scene.moves)
     if not wants.any:
         return None
     shading = ShadingFlags(

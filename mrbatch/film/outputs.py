@@ -59,13 +59,15 @@ class Outputs:
 class ViewInput:
     """One view of one frame on its data window: `background` (h, w, 3) float32, `gain` (3,), the camera
     of this frame and, where motion is asked for, of the next. `photo` (H, W, 3): the whole picture at
-    the output's scale, where the data window is not all of it."""
+    the output's scale, where the data window is not all of it. `shifts` (objects, 4, 4): where points of each
+    object, relative to the scene's origin, are in the next frame; None where nothing moves."""
 
     camera: Camera
     background: np.ndarray
     gain: np.ndarray
     next_camera: Camera | None = None
     photo: np.ndarray | None = None
+    shifts: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -103,7 +103,9 @@ def estimate(
         picture=None if photo is None else whole,
     )
     outputs = Outputs((view,), frozenset(needs), seed, resolved)
-    pipeline = method.build(upload(scene, resolved), plan, model, outputs)
+    device = upload(scene, resolved)
+    pipeline = method.build(device, plan, model, outputs)
+    device.show(frame)
     timing = TimingNode(method.name)
     with Runner(threads, units_per_launch=units_per_launch) as runner:
         renderer = FrameRenderer(runner, [Source("method", pipeline)], outputs, timing)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import to_linear, to_rec709
@@ -20,6 +21,7 @@ from mrbatch.scene.gltf_header import further_files
 from mrbatch.scene.gltf_material import material_from_gltf
 from mrbatch.scene.mesh import Mesh, box, concatenate, icosphere, plane
 from mrbatch.scene.mesh_file import Part, load_mesh, load_parts
+from mrbatch.scene.motion import ALWAYS, Motion, Still
 from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
 from mrbatch.scene.stored_picture import check_finite, colour_channels, primaries_of, read_stored
 
@@ -144,16 +146,37 @@ def _object(
             place=Place(file=str(item.mesh)) if item.mesh else None,
             hint="give the mesh UVs, or a constant reflectance",
         )
-    mesh = mesh.transformed(item.transform.world_from_object())
+    motion = _motion(item) if isinstance(item, given.VirtualObject) else None
+    matrix = item.transform.world_from_object() if motion is None else motion.world_from_object(-np.inf)
     return SceneObject(
         name=item.name,
-        mesh=mesh,
+        mesh=mesh.transformed(matrix),
         material=material,
         virtual=virtual,
         camera=item.camera,
         cast_shadow=item.cast_shadow,
         receive=item.receive,
         holdout=holdout,
+        motion=motion,
+        still=None if motion is None else mesh,
+    )
+
+
+def _motion(item: given.VirtualObject) -> Motion | Still | None:
+    """How it moves over the frames; None where it does not, and is always there."""
+    visible = ALWAYS if item.visible is None else tuple((float(a), float(b)) for a, b in item.visible)
+    if item.animation is None:
+        if item.visible is None:
+            return None
+        return Still(item.transform.world_from_object(), visible)
+    keys = item.animation
+    turns = [given.rotation_matrix(key.rotate) for key in keys]
+    return Motion(
+        np.array([float(k.frame) for k in keys]),
+        np.array([k.translate for k in keys], dtype=np.float64),
+        Rotation.from_matrix(turns).as_quat(),
+        np.array([k.scale for k in keys], dtype=np.float64),
+        visible,
     )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mrbatch.scene.environment import Environment
 from mrbatch.scene.mesh import Mesh
+from mrbatch.scene.motion import Motion, Still
 
 MAX_TRIANGLES = 2**31 - 1
 
@@ -69,7 +70,8 @@ class SceneObject:
 
     `camera`: seen by the camera. `cast_shadow`: other surfaces see it (blocks and reflects light).
     `receive`: light and shadow of virtual objects fall on it. `holdout`: what the camera sees of it
-    is the photo, untouched.
+    is the photo, untouched. `motion`: of the mesh `still`, given in the object's own coordinates; `mesh` is
+    then what it is at the first key.
     """
 
     name: str
@@ -80,6 +82,17 @@ class SceneObject:
     cast_shadow: bool = True
     receive: bool = True
     holdout: bool = False
+    motion: Motion | Still | None = None
+    still: Mesh | None = None
+
+    def at(self, frame: float) -> SceneObject:
+        """The object at a frame; one that is not there is neither seen nor casts a shadow."""
+        if self.motion is None or self.still is None:
+            return self
+        moved = replace(self, mesh=self.still.transformed(self.motion.world_from_object(frame)))
+        if self.motion.there(frame):
+            return moved
+        return replace(moved, camera=False, cast_shadow=False)
 
 
 @dataclass(frozen=True)
@@ -93,6 +106,27 @@ class Scene:
     environment: Environment
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     notes: tuple[str, ...] = ()
+
+    @property
+    def moves(self) -> bool:
+        """Whether any object is elsewhere, or not there, in some frames."""
+        return any(o.motion is not None for o in self.objects)
+
+    def at(self, frame: float) -> Scene:
+        """The scene at a frame, with the same origin."""
+        return replace(self, objects=tuple(o.at(frame) for o in self.objects)) if self.moves else self
+
+    def shifts(self, frame: float, later: float) -> np.ndarray:
+        """(objects, 4, 4) float64: takes a point of each object, relative to `origin`, from one frame to
+        another."""
+        shift = np.eye(4)
+        shift[:3, 3] = self.origin
+        found = np.tile(np.eye(4), (len(self.objects), 1, 1))
+        for number, item in enumerate(self.objects):
+            if item.motion is not None:
+                now, then = (item.motion.world_from_object(f) for f in (frame, later))
+                found[number] = np.linalg.inv(shift) @ then @ np.linalg.inv(now) @ shift
+        return found
 
     @property
     def real(self) -> tuple[SceneObject, ...]:
@@ -113,8 +147,10 @@ def centre(objects: Sequence[SceneObject]) -> np.ndarray:
     if not objects:
         return np.zeros(3)
     chosen = [o for o in objects if o.virtual] or objects
-    low = np.min([o.mesh.vertices.min(axis=0) for o in chosen], axis=0)
-    high = np.max([o.mesh.vertices.max(axis=0) for o in chosen], axis=0)
+    # Of what moves, where it is at every key: one origin for all frames.
+    poses = [o.at(key) for o in chosen for key in (o.motion.frames if o.motion is not None else (0,))]
+    low = np.min([o.mesh.vertices.min(axis=0) for o in poses], axis=0)
+    high = np.max([o.mesh.vertices.max(axis=0) for o in poses], axis=0)
     size = float(np.max(high - low))
     if size == 0.0:
         return (low + high) / 2

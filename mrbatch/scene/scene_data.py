@@ -153,14 +153,22 @@ def texture_coordinates(scene: SceneData, point: SurfacePoint) -> wp.vec2:
     return scene.uvs[c[0]] * (1.0 - u - v) + scene.uvs[c[1]] * u + scene.uvs[c[2]] * v
 
 
-@dataclass(frozen=True)
+@dataclass
 class DeviceScene:
-    """`data` for kernels, and what must stay alive with it."""
+    """`data` for kernels, and what must stay alive with it. `scene`: of the whole shot; where it moves,
+    `show` puts its objects where they are at a frame."""
 
     data: Any
     scene: Scene
     engine: Engine
     kept: tuple[Any, ...]
+    device: str = "cpu"
+
+    def show(self, frame: float) -> None:
+        """Whoever launches kernels afterwards takes `data` anew. A still scene costs nothing."""
+        if self.scene.moves:
+            now = upload(self.scene.at(frame), self.engine, self.device, shared=self.data)
+            self.data, self.kept = now.data, now.kept
 
 
 _TRIANGLE = TriangleData.numpy_dtype()
@@ -178,8 +186,9 @@ def _triangles(vertices: np.ndarray, mesh: Mesh, number: int, flags: int) -> np.
     return records
 
 
-def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
-    """Builds the hierarchies and arrays of a scene.
+def upload(scene: Scene, engine: Engine, device: str = "cpu", *, shared: Any = None) -> DeviceScene:
+    """Builds the hierarchies and arrays of a scene. `shared`: data of the same scene at another frame, whose
+    textures and light are taken.
 
     Raises InputError where there are more triangles than an index can number.
     """
@@ -251,8 +260,11 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
     records = np.concatenate(triangles) if triangles else np.zeros(1, _TRIANGLE)
     data.triangles = wp.array(records, dtype=TriangleData, device=device)
     data.objects = wp.array(objects or [ObjectData()], dtype=ObjectData, device=device)
-    data.textures = build_texture_atlas(textures, device=device)
-    data.environment = scene.environment.upload(device)
+    if shared is None:
+        data.textures = build_texture_atlas(textures, device=device)
+        data.environment = scene.environment.upload(device)
+    else:
+        data.textures, data.environment = shared.textures, shared.environment
 
     built: dict[tuple[int, ...], BuiltSet] = {}
 
@@ -269,4 +281,4 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu") -> DeviceScene:
     data.all_set = ray_set([i for i, o in items if o.cast_shadow])
     data.real_set = ray_set([i for i, o in items if o.cast_shadow and not o.virtual])
     data.virtual_set = ray_set([i for i, o in items if o.cast_shadow and o.virtual])
-    return DeviceScene(data, scene, engine, tuple(built.values()) + (meshes,))
+    return DeviceScene(data, scene, engine, tuple(built.values()) + (meshes,), device)

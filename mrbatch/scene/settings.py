@@ -97,6 +97,15 @@ class Environment(Settings):
         return self
 
 
+def rotation_matrix(angles: tuple[float, float, float]) -> np.ndarray:
+    """(3, 3) float64: turns about x, then y, then z by angles in radians."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
 class Transform(Settings):
     """Where an object is: world_from_object = translate * rotate * scale, or a matrix."""
 
@@ -140,14 +149,28 @@ class Transform(Settings):
         """(4, 4) float64, metres."""
         if self.matrix is not None:
             return np.array(self.matrix, dtype=np.float64)
-        (cx, cy, cz), (sx, sy, sz) = np.cos(self.rotate), np.sin(self.rotate)
-        about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-        about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-        about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
         result = np.eye(4)
-        result[:3, :3] = about_z @ about_y @ about_x @ np.diag(self.scale)
+        result[:3, :3] = rotation_matrix(self.rotate) @ np.diag(self.scale)
         result[:3, 3] = self.translate
         return result
+
+
+class Key(Settings):
+    """Where a moving object is at one frame: world_from_object = translate * rotate * scale."""
+
+    frame: int = Field(description="Number of the frame")
+    translate: Position = Field((0.0, 0.0, 0.0), description="Shift along world x, y, z: lengths")
+    rotate: Rotation = Field(
+        (0.0, 0.0, 0.0), description="Turns about the world's x, then y, then z axis (right-handed): angles"
+    )
+    scale: Scale3 = Field((1.0, 1.0, 1.0), description="Factor, or one for each axis of the object, above 0")
+
+    @field_validator("scale")
+    @classmethod
+    def _positive(cls, value: Any) -> Any:
+        if min(value) <= 0.0:
+            raise ValueError("must be above 0")
+        return value
 
 
 class Plane(Settings):
@@ -255,6 +278,27 @@ class RealObject(Object):
 
 class VirtualObject(Object):
     """Something that was not there."""
+
+    animation: Annotated[tuple[Key, ...], BeforeValidator(to_tuple)] | None = Field(
+        None,
+        description="Places at key frames, in place of `transform`: between them the object moves evenly and "
+        "turns the shortest way",
+    )
+    visible: Annotated[tuple[tuple[int, int], ...], BeforeValidator(to_tuple)] | None = Field(
+        None, description="[first, last] frame of each time at which it is there; none: always"
+    )
+
+    @model_validator(mode="after")
+    def _keys(self) -> VirtualObject:
+        if self.animation is not None:
+            frames = [key.frame for key in self.animation]
+            if not frames or any(b <= a for a, b in zip(frames, frames[1:])):
+                raise ValueError("`animation` has one key or more, each of a later frame than the last")
+            if self.transform != Transform():
+                raise ValueError("`transform` and `animation` are both given: give one")
+        if any(last < first for first, last in self.visible or ()):
+            raise ValueError("`visible`: a time ends before it begins")
+        return self
 
     material: Material | None = Field(
         None,
