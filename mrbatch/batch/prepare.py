@@ -24,6 +24,7 @@ from mrbatch.effects.facts import FrameFacts, ShotFacts
 from mrbatch.effects.plan import make_plan
 from mrbatch.errors import InputError, Place, ResourceError
 from mrbatch.film.exr import choose_colour_type
+from mrbatch.film.guides import NEED
 from mrbatch.film.layers import needs
 from mrbatch.film.window import Window
 from mrbatch.job.confine import check_confined
@@ -184,7 +185,7 @@ def prepare(
         raise InputError("the capture has no usable frame")
     display, windows = output_views(job, _first_geometry(capture, table, numbers))
     layers = layer_names(job)
-    wanted = needs(layers)
+    wanted = needs(layers) | ({NEED} if job.output.filter.on else frozenset())
     if shot is None:
         progress("planning the effects", 0, len(numbers))
         with timing.measure("plan"):

@@ -21,7 +21,9 @@ from mrbatch.film.accumulator import A, D, Developed, P
 from mrbatch.film.composite import Contribution, behind_matte, composite, over
 from mrbatch.film.cryptomatte import name_id
 from mrbatch.film.exr import FrameImage, ViewImage, write_frame
+from mrbatch.film.filter.apply import filtered, smoother
 from mrbatch.film.first_hit import first_hit_estimates
+from mrbatch.film.guides import guides_of
 from mrbatch.film.layers import CRYPTOMATTES, channels, data_behind_matte
 from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
 from mrbatch.film.rendering import FrameRenderer, Source
@@ -94,6 +96,7 @@ class ShotRenderer:
                 outputs = replace(self.outputs, source=name)
                 pipeline = participant.build(self.scene, shot.plan, settings, outputs)
                 sources.append(Source(name, pipeline))
+        self._smooth = smoother(job.output.filter) if job.output.filter.on else None
         self.renderer = FrameRenderer(self.runner, sources, self.outputs, timing)
         says = job.method_object.history or any(p.history for p in job.participant_objects)
         if self.has_history and not says:
@@ -177,6 +180,13 @@ class ShotRenderer:
             history=history,
             progress=lambda share: self.progress(number, share),
         )
+        smoothed: dict[str, Developed] = {}
+        if self._smooth is not None:
+            with timing.measure("filter"):
+                for view in self.outputs.views:
+                    guides = guides_of(view, rendered.buffers)
+                    method = rendered.estimates[view.name]["method"]
+                    smoothed[view.name] = filtered(method, guides, self._smooth)
         with timing.measure("develop"):
             images: dict[str, ViewImage] = {}
             composites: dict[str, np.ndarray] = {}
@@ -184,7 +194,9 @@ class ShotRenderer:
             maps: dict[str, dict[str, object]] = {}
             for view in self.outputs.views:
                 given, matte = views[view.name], mattes[view.name]
-                estimates, relative, changed = self._estimates(view, given, matte, rendered)
+                estimates, relative, changed = self._estimates(
+                    view, given, matte, rendered, smoothed.get(view.name)
+                )
                 made = channels(prepared.layers, estimates)
                 images[view.name] = ViewImage(made, views[view.name].camera, self._cryptomatte_attributes())
                 composites[view.name] = np.stack([made["R"], made["G"], made["B"]], axis=-1)
@@ -214,6 +226,12 @@ class ShotRenderer:
             "versions": self._versions,
             "flags": list(data.flags),
         }
+        if self._smooth is not None:
+            metadata["filter"] = {
+                "kind": job.output.filter.kind,
+                "radius": job.output.filter.reach,
+                "of": "virtual light and light change; error_estimate and variance are those before it",
+            }
         image = FrameImage(
             number=number,
             views=images,
@@ -250,20 +268,28 @@ class ShotRenderer:
         return int(getattr(self.prepared.job.method, "spp", 2))
 
     def _estimates(
-        self, view: ViewOutput, given: ViewInput, matte: np.ndarray | None, rendered: Any
+        self,
+        view: ViewOutput,
+        given: ViewInput,
+        matte: np.ndarray | None,
+        rendered: Any,
+        smoothed: Developed | None,
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-        """Host arrays by `layers.ESTIMATES`; relative squared noise (h, w); which pixels changed (h, w)."""
+        """Host arrays by `layers.ESTIMATES`; relative squared noise (h, w); which pixels changed (h, w).
+
+        `smoothed`: what a filter made of the method's estimate. The noise is that of the samples, before it.
+        """
         sources = rendered.estimates[view.name]
         developed = sources["method"]
-        laid = Contribution(developed.P, developed.a, developed.D, developed.indirect)
+        sampled = laid = _laid(sources, matte)
+        if smoothed is not None:
+            laid = _laid({**sources, "method": smoothed}, matte)
         variance = developed.variance
         samples = developed.samples
         for name, other in sources.items():
             if name != "method":
-                laid = over(Contribution(other.P, other.a, other.D, other.indirect), laid)
                 variance = other.variance + ((1 - other.a)[..., None] ** 2) * variance
                 samples = np.maximum(samples, other.samples)
-        laid = behind_matte(laid, matte)
         if matte is not None:
             variance = variance * ((1 - matte)[..., None] ** 2)
         estimates = {
@@ -278,8 +304,8 @@ class ShotRenderer:
             estimates["D_indirect"] = laid.D_indirect
         data = first_hit_estimates(view, self.outputs, rendered.buffers, self._ids)
         estimates.update(data if matte is None else data_behind_matte(data, matte))
-        picture = composite(laid.P, laid.a, given.background, laid.D)
-        changed = (laid.a > 0) | np.any(laid.D != 0, axis=-1)
+        picture = composite(sampled.P, sampled.a, given.background, sampled.D)
+        changed = (sampled.a > 0) | np.any(sampled.D != 0, axis=-1)
         a, b = (self._half(half, given, matte, sources) for half in (0, 1))
         return estimates, relative_square(picture, noise_between(a, b), changed), changed
 
@@ -289,15 +315,13 @@ class ShotRenderer:
     ) -> np.ndarray:
         """The composite (h, w, 3) of one half of the samples."""
 
-        def part(developed: Developed) -> Contribution:
+        def part(developed: Developed) -> Developed:
             mean = developed.halves[half]
-            return Contribution(mean[..., P : P + 3], mean[..., A], mean[..., D : D + 3])
+            return replace(
+                developed, P=mean[..., P : P + 3], a=mean[..., A], D=mean[..., D : D + 3], indirect=None
+            )
 
-        laid = part(sources["method"])
-        for name, other in sources.items():
-            if name != "method":
-                laid = over(part(other), laid)
-        laid = behind_matte(laid, matte)
+        laid = _laid({name: part(developed) for name, developed in sources.items()}, matte)
         return composite(laid.P, laid.a, given.background, laid.D)
 
     def _cryptomatte_attributes(self) -> dict[str, str]:
@@ -308,6 +332,19 @@ class ShotRenderer:
             if layer in self.prepared.layers:
                 found.update(cryptomatte.metadata(name, self._names[layer.removeprefix("crypto_")]))
         return found
+
+
+def _laid(sources: Mapping[str, Developed], matte: np.ndarray | None) -> Contribution:
+    """Participants laid over the method, and all of it behind what stands in front."""
+
+    def contribution(developed: Developed) -> Contribution:
+        return Contribution(developed.P, developed.a, developed.D, developed.indirect)
+
+    laid = contribution(sources["method"])
+    for name, other in sources.items():
+        if name != "method":
+            laid = over(contribution(other), laid)
+    return behind_matte(laid, matte)
 
 
 def pixel_versions(engine: str) -> dict[str, str]:

@@ -10,6 +10,7 @@ from typing import Any
 from mrbatch.contracts import Pass, Pipeline
 from mrbatch.film.binding import bind_view
 from mrbatch.film.first_hit import first_hit_buffers, first_hit_pass
+from mrbatch.film.guides import guide_buffers, guide_pass
 from mrbatch.film.outputs import FrameInput, Outputs
 from mrbatch.film.photo_reflectance import photo_buffers, photo_passes
 from mrbatch.film.pixel_pass import pixel_pass
@@ -117,6 +118,10 @@ def camera_path_pipeline(
         if step is not None and flags.virtual_seen:
             finish.append(step)
             buffers.extend(first_hit_buffers(view, outputs))
+        step = guide_pass(scene, view, outputs, flags.shading, flags.distortion, settings.pixel_filter)
+        if step is not None and refine:
+            finish.append(step)
+            buffers.extend(guide_buffers(view, outputs))
 
     def bind(frame: FrameInput) -> Mapping[str, Any]:
         return {view.name: bind_view(scene, outputs, view, frame, photo=photo) for view in outputs.views}

@@ -12,6 +12,7 @@ from pydantic_core import PydanticCustomError
 from mrbatch.capture.registry import CAPTURES
 from mrbatch.contracts import Method, Participant
 from mrbatch.errors import Place
+from mrbatch.film.filter.settings import Filter
 from mrbatch.film.layers import DEFAULT_LAYERS, LAYERS
 from mrbatch.job.choice import Choice, Loc, problem, problems
 from mrbatch.job.frames import ALL, FrameSelection
@@ -100,6 +101,7 @@ class Output(Settings):
     ) = Field(
         None, description="[x, y, width, height] in output pixels, from the top left: render only these"
     )
+    filter: Filter = Field(Filter(), description="What takes noise out of the finished frame")
     overscan: int = Field(0, ge=0, le=4096, description="Pixels rendered beyond each edge, 0..4096")
     preview: Preview = Field(
         Preview(), description="Pictures to look at, beside the frames", json_schema_extra=NOT_PIXELS

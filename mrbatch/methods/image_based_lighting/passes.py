@@ -9,6 +9,7 @@ from mrbatch.contracts import Pass, Pipeline
 from mrbatch.effects.plan import Plan
 from mrbatch.film.binding import bind_view
 from mrbatch.film.first_hit import first_hit_buffers, first_hit_pass
+from mrbatch.film.guides import guide_buffers, guide_pass
 from mrbatch.film.outputs import FrameInput, Outputs
 from mrbatch.film.pixel_pass import pixel_pass
 from mrbatch.methods.image_based_lighting.kernels import Flags, make_kernel
@@ -78,6 +79,10 @@ def build(scene: DeviceScene, plan: Plan, settings: ImageBasedLightingSettings, 
             if step is not None:
                 finish.append(step)
                 buffers.extend(first_hit_buffers(view, outputs))
+            step = guide_pass(scene, view, outputs, flags.shading, flags.distortion, settings.pixel_filter)
+            if step is not None:
+                finish.append(step)
+                buffers.extend(guide_buffers(view, outputs))
 
     def bind(frame: FrameInput) -> Mapping[str, Any]:
         return {view.name: bind_view(scene, outputs, view, frame, photo=False) for view in outputs.views}

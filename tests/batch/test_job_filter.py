@@ -1,0 +1,88 @@
+"""Whole jobs with a filter: what it changes in the files and what it must not, and what they say of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_job import write_job
+
+from mrbatch.batch.job_run import render_job
+from mrbatch.errors import JobError
+from mrbatch.film.exr import read_frame
+from mrbatch.job import load_job
+
+LAYERS = "output.layers=[virtual, delta, background, variance, shadow, indirect]"
+
+
+def render(path: Path, out: str, *overrides: str, **options):
+    """The frame's channels, metadata and bytes, and the outcome."""
+    job = load_job(path, [f"output.directory={out}", LAYERS, "output.dtype=float", *overrides])
+    outcome = render_job(job, report=False, **options)
+    assert outcome.exit_code == 0, outcome.result.error
+    (frame,) = (path.parent / out).glob("*.0000.exr")
+    read = read_frame(frame)
+    return read.views[""].channels, read.metadata, frame.read_bytes(), outcome
+
+
+@pytest.fixture(scope="module")
+def shot(tmp_path_factory) -> Path:
+    return write_job(tmp_path_factory.mktemp("filter"), (0,), spp=8)
+
+
+@pytest.fixture(scope="module")
+def plain(shot):
+    return render(shot, "plain")
+
+
+def passes(node) -> set[str]:
+    return {node["name"]} | {name for child in node["children"] for name in passes(child)}
+
+
+@pytest.mark.parametrize("kind", ["bilateral"])
+def test_a_filter_changes_light_alone_and_the_file_says_so(shot, plain, kind):
+    before, said_before, _, _ = plain
+    after, said, _, _ = render(shot, kind, f"output.filter.kind={kind}")
+    assert "filter" not in said_before and said["filter"]["kind"] == kind
+    # Whatever is not light stays, and so does what is said of the samples' noise.
+    for name in ("virtual.A", "background.R", "variance.G"):
+        assert np.array_equal(before[name], after[name])
+    assert said["error_estimate"] == said_before["error_estimate"]
+    for name in ("virtual.R", "delta.G", "R"):
+        assert not np.array_equal(before[name], after[name])
+        assert after[name].mean() == pytest.approx(before[name].mean(), rel=0.02)
+    untouched = (before["virtual.A"] == 0) & np.all([before[f"delta.{c}"] == 0 for c in "RGB"], axis=0)
+    assert untouched.mean() > 0.1
+    for c in "RGB":
+        assert np.array_equal(after[c][untouched], after[f"background.{c}"][untouched])
+        assert not after[f"virtual.{c}"][after["virtual.A"] == 0].any()
+        made = (
+            after[f"virtual.{c}"] + (1 - after["virtual.A"]) * after[f"background.{c}"] + after[f"delta.{c}"]
+        )
+        np.testing.assert_allclose(np.maximum(made, 0), after[c], atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["bilateral"])
+def test_neither_threads_nor_launches_change_a_bit(shot, kind):
+    asked = f"output.filter.kind={kind}"
+    one = render(shot, f"{kind}_1", asked, threads=1)[2]
+    assert one == render(shot, f"{kind}_4", asked, threads=4, units_per_launch=1)[2]
+
+
+def test_without_a_filter_there_is_no_pass_of_it(shot, plain):
+    def ran(outcome):
+        return passes(outcome.report.timing.model_dump())
+
+    outcome = plain[3]
+    names = ran(outcome)
+    assert not any("guide" in name or "filter" in name for name in names)
+    _, _, _, other = render(shot, "passes", "output.filter.kind=bilateral")
+    assert {"filter", "guides"} <= ran(other)
+
+
+def test_a_radius_is_refused_where_there_is_none_to_choose(shot):
+    with pytest.raises(JobError, match="`none` has no `radius`"):
+        load_job(shot, ["output.filter.radius=3"])
+    with pytest.raises(JobError, match="radius"):
+        load_job(shot, ["output.filter.kind=bilateral", "output.filter.radius=99"])
