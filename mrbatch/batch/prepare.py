@@ -166,9 +166,13 @@ def prepare(
     """Opens the capture (unless it is `opened`), solves what the whole shot is needed for, and plans.
 
     With `directory`, a shot that was written there before is taken as it is; with `write`, a new one
-    is committed there. Raises InputError for input that cannot be used, ResourceError for an engine that
-    is not available.
+    is committed there. Raises InputError for input that cannot be used, ResourceError for an engine or
+    a filter that is not available.
     """
+    if job.output.filter.kind == "oidn":
+        from mrbatch.film.filter.oidn import load_oidn
+
+        load_oidn()  # better missed now than after the shot is solved
     if opened is None:
         opened = look_at(job, open_capture(job, timing)[0], timing, progress)
     capture, key = opened.capture, opened.key

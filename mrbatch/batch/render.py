@@ -96,7 +96,7 @@ class ShotRenderer:
                 outputs = replace(self.outputs, source=name)
                 pipeline = participant.build(self.scene, shot.plan, settings, outputs)
                 sources.append(Source(name, pipeline))
-        self._smooth = smoother(job.output.filter) if job.output.filter.on else None
+        self._smooth = smoother(job.output.filter, self.runner.threads) if job.output.filter.on else None
         self.renderer = FrameRenderer(self.runner, sources, self.outputs, timing)
         says = job.method_object.history or any(p.history for p in job.participant_objects)
         if self.has_history and not says:
@@ -110,7 +110,7 @@ class ShotRenderer:
             for kind, names in self._names.items()
         }
         self._settings = pixel_relevant(job)
-        self._versions = pixel_versions(shot.engine)
+        self._versions = pixel_versions(shot.engine, job.output.filter.kind)
 
     @property
     def has_history(self) -> bool:
@@ -347,12 +347,13 @@ def _laid(sources: Mapping[str, Developed], matte: np.ndarray | None) -> Contrib
     return behind_matte(laid, matte)
 
 
-def pixel_versions(engine: str) -> dict[str, str]:
+def pixel_versions(engine: str, filtering: str) -> dict[str, str]:
     """Of this program and the libraries that a frame's bytes go through."""
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"mrbatch": __version__}
-    for name in ("warp-lang", "numpy", "OpenImageIO", *(["embreex"] if engine == "embree" else [])):
+    parts = [("embreex", engine == "embree"), ("scipy", filtering != "none"), ("pyoidn", filtering == "oidn")]
+    for name in ("warp-lang", "numpy", "OpenImageIO", *(name for name, used in parts if used)):
         with contextlib.suppress(PackageNotFoundError):
             found[name] = version(name)
     return found

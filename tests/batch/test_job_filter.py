@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from small_job import write_job
 
 from mrbatch.batch.job_run import render_job
-from mrbatch.errors import JobError
+from mrbatch.errors import JobError, ResourceError
 from mrbatch.film.exr import read_frame
 from mrbatch.job import load_job
 
@@ -40,10 +41,20 @@ def passes(node) -> set[str]:
     return {node["name"]} | {name for child in node["children"] for name in passes(child)}
 
 
-@pytest.mark.parametrize("kind", ["bilateral"])
+KINDS = ["bilateral", "variance", "oidn"]
+
+
+def installed(kind: str) -> str:
+    """The override that asks for a kind; skips the test where OIDN is not installed."""
+    if kind == "oidn":
+        pytest.importorskip("pyoidn")
+    return f"output.filter.kind={kind}"
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_filter_changes_light_alone_and_the_file_says_so(shot, plain, kind):
     before, said_before, _, _ = plain
-    after, said, _, _ = render(shot, kind, f"output.filter.kind={kind}")
+    after, said, _, _ = render(shot, kind, installed(kind))
     assert "filter" not in said_before and said["filter"]["kind"] == kind
     # Whatever is not light stays, and so does what is said of the samples' noise.
     for name in ("virtual.A", "background.R", "variance.G"):
@@ -63,9 +74,9 @@ def test_a_filter_changes_light_alone_and_the_file_says_so(shot, plain, kind):
         np.testing.assert_allclose(np.maximum(made, 0), after[c], atol=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["bilateral"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_neither_threads_nor_launches_change_a_bit(shot, kind):
-    asked = f"output.filter.kind={kind}"
+    asked = installed(kind)
     one = render(shot, f"{kind}_1", asked, threads=1)[2]
     assert one == render(shot, f"{kind}_4", asked, threads=4, units_per_launch=1)[2]
 
@@ -82,7 +93,34 @@ def test_without_a_filter_there_is_no_pass_of_it(shot, plain):
 
 
 def test_a_radius_is_refused_where_there_is_none_to_choose(shot):
-    with pytest.raises(JobError, match="`none` has no `radius`"):
-        load_job(shot, ["output.filter.radius=3"])
+    with pytest.raises(JobError, match="`oidn` has no `radius`"):
+        load_job(shot, ["output.filter.kind=oidn", "output.filter.radius=3"])
     with pytest.raises(JobError, match="radius"):
         load_job(shot, ["output.filter.kind=bilateral", "output.filter.radius=99"])
+
+
+def test_a_missing_library_is_one_clear_error(shot, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
+    job = load_job(shot, ["output.directory=missing", "output.filter.kind=oidn"])
+    with pytest.raises(ResourceError, match="needs Open Image Denoise") as raised:
+        render_job(job, report=False)
+    assert raised.value.hint == "pip install 'mrbatch[denoise]'"
+    assert not list(shot.parent.glob("missing/*.exr"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_error_to_a_converged_picture_falls_and_the_mean_stays(tmp_path, kind):
+    """32 samples against 2048, on what virtual objects change; the composite's mean is kept to 0.1 %."""
+    asked = installed(kind)
+    path = write_job(tmp_path, (0,), spp=32, width=128, height=96)
+    truth = render(path, "truth", "method.spp=2048")[0]
+    raw = render(path, "raw")[0]
+    found = render(path, kind, asked)[0]
+
+    def picture(channels):
+        return np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float64)
+
+    changed = (truth["virtual.A"] > 0) | (truth["delta.G"] != 0)
+    before, after = (np.sqrt(np.mean((picture(c) - picture(truth))[changed] ** 2)) for c in (raw, found))
+    assert after < 0.6 * before
+    assert picture(found)[changed].mean() == pytest.approx(picture(raw)[changed].mean(), rel=1e-3)

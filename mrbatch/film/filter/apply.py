@@ -16,12 +16,24 @@ from mrbatch.film.guides import Guides
 Smooth = Callable[[Signal, tuple[np.ndarray, ...]], tuple[np.ndarray, ...]]
 
 
-def smoother(settings: Filter) -> Smooth:
-    """The kind's function: from a signal and parts of its value to what is to be added to each."""
+def smoother(settings: Filter, threads: int = 1) -> Smooth:
+    """The kind's function: from a signal and parts of its value to what is to be added to each.
+
+    Raises ResourceError where what the kind needs is not installed.
+    """
     if settings.kind == "bilateral":
         from mrbatch.film.filter.bilateral import bilateral
 
-        return lambda signal, also: bilateral(signal, settings.reach, also)
+        return lambda signal, also: bilateral(signal, settings.reach, also, threads)
+    if settings.kind == "variance":
+        from mrbatch.film.filter.variance import variance_guided
+
+        return lambda signal, also: variance_guided(signal, settings.reach, also, threads)
+    if settings.kind == "oidn":
+        from mrbatch.film.filter.oidn import denoise, load_oidn
+
+        library = load_oidn()
+        return lambda signal, also: denoise(library, signal, also, threads)
     raise ValueError(f"no filter is called {settings.kind}")
 
 

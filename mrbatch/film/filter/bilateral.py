@@ -1,14 +1,9 @@
 """The cross-bilateral filter of Xu et al. (section 4: size 5 x 5), put right.
 
 *Delta Path Tracing for Real-Time Global Illumination in Mixed Reality* filters the radiance with weights
-from guides. On a plane all guides are equal, so that is a plain blur: it rounds off every shadow. Here
-
-- light is filtered without texture and coverage, each object apart (`signal.py`);
-- the change that the filter makes is applied in part, by the strength s that makes the expected squared
-  error least: d = F - x, s = E[(x - t)(-d)] / E[d^2]. For a filter whose own pixel has the share h, the
-  numerator is (1 - h) var x, and the variance is known from the two halves, (x_A - x_B)^2 / 4. Both means
-  run over the same neighbours. Where the filter would blur something that stands out of the noise, d^2 is
-  large and s small; with samples s goes to 0, and with it the bias.
+from guides. On a plane all guides are equal, so that is a plain blur: it rounds off every shadow. Here light
+is filtered without texture and coverage, each object apart (`signal.py`), and the change is applied as far as
+noise accounts for it (`strength.py`).
 """
 
 from __future__ import annotations
@@ -18,12 +13,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from mrbatch.film.filter.neighbours import Surfaces, picture, same_surface, surfaces_of
+from mrbatch.film.filter.neighbours import Surfaces, launch, picture, surface_distance, surfaces_of
 from mrbatch.film.filter.signal import Signal
-
-WIDER = 1
-"""Pixels that the mean of the strength reaches further than the filter: of a few pixels, the strength is
-noise itself, and as it is cut at 1 the filter would be too weak."""
+from mrbatch.film.filter.strength import strength_of
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -32,14 +24,15 @@ def _mean(
     radius: int,
     value: wp.array2d(dtype=wp.vec3),
     weight: wp.array2d(dtype=wp.vec3),
-    variance: wp.array2d(dtype=wp.vec3),
     change: wp.array2d(dtype=wp.vec3),
-    gain: wp.array2d(dtype=wp.vec2),
+    share: wp.array2d(dtype=wp.vec3),
+    row: int,
 ):
-    """`change`: what the filter adds. `gain`: (1 - h) times the variance, square of the change."""
-    y, x = wp.tid()
+    """`change`: what the filter adds. `share`: of the pixel itself in the mean."""
+    band, x = wp.tid()
+    y = row + band
     group = s.group[y, x]
-    if group == 0:
+    if group <= 0:
         return
     normal = s.normal[y, x]
     position = s.position[y, x]
@@ -49,60 +42,40 @@ def _mean(
     weights = wp.vec3(0.0, 0.0, 0.0)
     for v in range(-radius, radius + 1):
         for u in range(-radius, radius + 1):
-            w = same_surface(s, group, normal, position, y + v, x + u)
-            if w > 0.0:
-                w *= wp.exp(-float(u * u + v * v) * fall)
+            distance = surface_distance(s, group, normal, position, y + v, x + u)
+            if distance >= 0.0:
+                w = wp.exp(-distance - float(u * u + v * v) * fall)
                 values += value[y + v, x + u] * w
                 weights += weight[y + v, x + u] * w
     d = wp.vec3(0.0, 0.0, 0.0)
-    both = wp.vec2(0.0, 0.0)
+    h = wp.vec3(1.0, 1.0, 1.0)
     for c in range(3):
         own = weight[y, x][c]
         if own > 0.0:
             d[c] = own * values[c] / weights[c] - value[y, x][c]
-            both[0] = both[0] + (1.0 - own / weights[c]) * variance[y, x][c]
-            both[1] = both[1] + d[c] * d[c]
+            h[c] = own / weights[c]
     change[y, x] = d
-    gain[y, x] = both
+    share[y, x] = h
 
 
-@wp.kernel(enable_backward=False, module="unique")
-def _strength(s: Surfaces, radius: int, gain: wp.array2d(dtype=wp.vec2), strength: wp.array2d(dtype=float)):
-    """s of each pixel, 0..1."""
-    y, x = wp.tid()
-    group = s.group[y, x]
-    if group == 0:
-        return
-    total = wp.vec2(0.0, 0.0)
-    for v in range(-radius, radius + 1):
-        for u in range(-radius, radius + 1):
-            w = same_surface(s, group, s.normal[y, x], s.position[y, x], y + v, x + u)
-            if w > 0.0:
-                total += gain[y + v, x + u] * w
-    if total[1] > 0.0:
-        # Of a pixel without neighbours both are rounding errors, of either sign.
-        strength[y, x] = wp.clamp(total[0] / total[1], 0.0, 1.0)
-
-
-def bilateral(signal: Signal, radius: int, also: tuple[np.ndarray, ...] = ()) -> tuple[np.ndarray, ...]:
+def bilateral(
+    signal: Signal, radius: int, also: tuple[np.ndarray, ...] = (), threads: int = 1
+) -> tuple[np.ndarray, ...]:
     """What to add to `signal.value`, then to each of `also` (parts of it, (h, w, 3)) with the same weights.
 
-    (h, w, 3) float64; 0 where the group is 0. Reads pixels up to 2 radius + 1 away. `radius` 2 is 5 x 5.
+    (h, w, 3) float64; 0 where the group is 0 or less. Reads pixels up to radius + `strength.REACH` away.
+    `radius` 2 is 5 x 5.
     """
     surfaces = surfaces_of(signal.group, signal.guide)
     shape = signal.group.shape
-    variance = picture(0.25 * (signal.halves[0] - signal.halves[1]) ** 2)
     weight = picture(signal.weight)
 
-    def mean(value: np.ndarray) -> tuple[np.ndarray, Any]:
+    def mean(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         change: Any = wp.zeros(shape, dtype=wp.vec3, device="cpu")
-        gain: Any = wp.zeros(shape, dtype=wp.vec2, device="cpu")
-        inputs = [surfaces, radius, picture(value), weight, variance, change, gain]
-        wp.launch(_mean, dim=shape, inputs=inputs, device="cpu")
-        return change.numpy().astype(np.float64), gain
+        share: Any = wp.zeros(shape, dtype=wp.vec3, device="cpu")
+        launch(_mean, shape, [surfaces, radius, picture(value), weight, change, share], threads)
+        return change.numpy().astype(np.float64), share.numpy()
 
-    change, gain = mean(signal.value)
-    strength: Any = wp.zeros(shape, dtype=float, device="cpu")
-    wp.launch(_strength, dim=shape, inputs=[surfaces, radius + WIDER, gain, strength], device="cpu")
-    s = strength.numpy()[..., None].astype(np.float64)
+    change, share = mean(signal.value)
+    s = strength_of(signal, surfaces, change, share, threads)
     return (s * change, *(s * mean(part)[0] for part in also))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from mrbatch.film.guides import Guide
 ANGLE = wp.constant(wp.float32(0.2))
 """Radians: standard deviation of the angle between two normals, and of the angle at which the line from
 one point to the other leaves the tangent plane. Both are independent of the scene's and picture's scale."""
+
+BANDS = 8
+"""Pieces of the picture a thread, so that uneven pictures keep all busy."""
 
 
 @wp.struct
@@ -36,27 +40,49 @@ def surfaces_of(group: np.ndarray, guide: Guide) -> Any:
     return data
 
 
+def launch(kernel: Any, shape: tuple[int, int], inputs: list[Any], threads: int) -> None:
+    """Runs a kernel over all pixels; its last argument is the first row. A pixel is written by one thread
+    alone and nothing that is read is written, so the number of threads does not show."""
+    rows = max(1, -(-shape[0] // (BANDS * threads)))
+
+    def band(first: int) -> None:
+        size = (min(rows, shape[0] - first), shape[1])
+        wp.launch(kernel, dim=size, inputs=[*inputs, first], device="cpu")
+
+    firsts = range(0, shape[0], rows)
+    band(0)  # compiles, if need be, before threads ask for it
+    if threads == 1:
+        for first in firsts[1:]:
+            band(first)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(band, firsts[1:]))
+
+
 def picture(values: np.ndarray) -> Any:
     """(h, w, 3) to a Warp array (h, w) of vec3 on the CPU."""
     return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3, device="cpu")
 
 
 @wp.func
-def same_surface(
+def surface_distance(
     s: Surfaces, group: wp.int32, normal: wp.vec3, position: wp.vec3, y: wp.int32, x: wp.int32
 ) -> float:
-    """Weight of pixel (x, y) as a neighbour, 0..1, alike both ways; 0 for another object."""
+    """How little pixel (x, y) is of the same smooth surface, alike both ways: exp(-distance) is its weight.
+
+    Negative for another object and outside the picture.
+    """
     if y < 0 or x < 0 or y >= s.height or x >= s.width:
-        return 0.0
+        return -1.0
     if s.group[y, x] != group:
-        return 0.0
+        return -1.0
     other = s.normal[y, x]
     along = s.position[y, x] - position
-    turned = 1.0 - wp.dot(normal, other)
+    turned = wp.max(1.0 - wp.dot(normal, other), 0.0)
     off = float(0.0)
     square = wp.dot(along, along)
     if square > 0.0:
         first = wp.dot(normal, along)
         second = wp.dot(other, along)
         off = 0.5 * (first * first + second * second) / square
-    return wp.exp(-(turned + 0.5 * off) / (ANGLE * ANGLE))
+    return (turned + 0.5 * off) / (ANGLE * ANGLE)

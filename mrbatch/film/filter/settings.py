@@ -8,23 +8,24 @@ from pydantic import Field, model_validator
 
 from mrbatch.quantities import Settings
 
-RADII = {"bilateral": 2}
+RADII = {"bilateral": 2, "variance": 4}
 """Pixels to each side, where the job names no number; the kinds that are not here have none to choose."""
 
 
 class Filter(Settings):
-    """A filter takes noise out of a finished frame, and adds a bias of its own: see docs/film.md."""
+    """A filter takes noise out of a finished frame, and adds a bias of its own: see docs/filter.md."""
 
-    kind: Literal["none", "bilateral"] = Field(
+    kind: Literal["none", "bilateral", "variance", "oidn"] = Field(
         "none",
         description="`none`; `bilateral`: mean of neighbours on the same surface, as far as noise hides what "
-        "it blurs",
+        "it blurs; `variance`: mean of neighbours that noise alone tells apart; `oidn`: Intel Open Image "
+        "Denoise, a neural network (`pip install 'mrbatch[denoise]'`)",
     )
     radius: int | None = Field(
         None,
         ge=1,
         le=8,
-        description="Pixels averaged to each side, 1..8; if absent 2 for `bilateral`",
+        description="Pixels averaged to each side, 1..8; if absent 2 for `bilateral`, 4 for `variance`",
     )
 
     @property

@@ -24,7 +24,7 @@ class Signal:
 
     `value` (h, w, 3) float64: P or D. `weight` (h, w, 3): reflectance times share of the pixel; value /
     weight is light. `halves`, `half_weights` (2, h, w, 3): the same of each half. `group` (h, w) int32:
-    pixels of one number, other than 0, may be averaged; those of 0 are left as they are.
+    pixels of one number above 0 may be averaged; -1 shows several objects; those of 0 are left as they are.
     """
 
     value: np.ndarray
@@ -36,7 +36,7 @@ class Signal:
 
 
 def virtual_signal(developed: Developed, guides: Guides) -> Signal:
-    """P by object; a pixel that shows several virtual objects is left as it is."""
+    """P by object."""
     guide = guides.virtual
     texture = np.maximum(guide.reflectance, DARKEST)
     return Signal(
@@ -65,4 +65,4 @@ def real_signal(developed: Developed, guides: Guides) -> Signal:
 
 
 def _groups(taken: np.ndarray, guide: Guide) -> np.ndarray:
-    return np.where(taken & (guide.object > 0), guide.object, 0).astype(np.int32)
+    return np.where(taken & (guide.object != 0), guide.object, 0).astype(np.int32)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from mrbatch.film.accumulator import Developed
+from mrbatch.film.filter.apply import filtered, smoother
+from mrbatch.film.filter.settings import Filter
 from mrbatch.film.guides import Guide, Guides
 from mrbatch.film.window import Window
 
@@ -64,3 +67,10 @@ def strip(h: int, w: int, first: int, last: int, depth: float) -> np.ndarray:
     light = np.zeros((h, w))
     light[:, first:last] = depth
     return light
+
+
+def apply(kind: str, frame: tuple[Developed, Guides], *, threads: int = 1, **settings: int) -> Developed:
+    """The frame filtered as a job with these settings does it; skips the test where OIDN is missing."""
+    if kind == "oidn":
+        pytest.importorskip("pyoidn")
+    return filtered(*frame, smoother(Filter(kind=kind, **settings), threads))
