@@ -5,8 +5,8 @@ It is given light, without texture and coverage (`signal.py`), with the normals 
 - A change of light has a sign, pictures have none. The network sees S + change, with S for each channel the
   deepest shadow but for one pixel in a thousand: as a white surface looks that receives S, shadows and all.
   What is deeper is left out and added again.
-- Pixels that are to be left alone would look like edges. Where the network sees them, they hold the mean of
-  their neighbours.
+- Pixels that are to be left alone would look like edges, and of those that show less than half of the surface
+  the light is too noisy. What the network sees there is the mean of their neighbours.
 - The network blurs and invents even where there is no noise: its change is applied as far as noise accounts
   for it (`strength.py`).
 - The network does not keep means; what it takes away from them is given back (`residual.py`).
@@ -27,8 +27,8 @@ from mrbatch.film.filter.residual import mean_kept
 from mrbatch.film.filter.signal import Signal
 from mrbatch.film.filter.strength import strength_of
 
-NEAR = 5
-"""Side of the square, in pixels, whose mean stands in for a pixel that is left alone."""
+NEAR = 3.0
+"""Standard deviation, in pixels, of the mean that stands in for a pixel that is left alone."""
 DEEPEST = 0.999
 
 
@@ -53,7 +53,8 @@ def denoise(
     each array. Raises ResourceError where the library fails.
     """
     taken = signal.group != 0
-    if not taken.any():
+    whole = taken & (signal.share > 0.5)
+    if not whole.any():
         return tuple(np.zeros(signal.value.shape) for _ in range(1 + len(also)))
     length = np.linalg.norm(signal.guide.normal, axis=-1, keepdims=True)
     normal = (signal.guide.normal / np.maximum(length, 1e-20)).astype(np.float32)
@@ -68,27 +69,28 @@ def denoise(
             raise ResourceError(f"Open Image Denoise failed: {error}") from error
         return clean.astype(np.float64)
 
-    changes = [_change(value, signal.weight, taken, run) for value in (signal.value, *also)]
+    changes = [_change(value, signal.weight, whole, taken, run) for value in (signal.value, *also)]
     surfaces = surfaces_of(signal.group, signal.guide)
     s = strength_of(signal, surfaces, changes[0], 0.0, threads)
     return tuple(mean_kept(s * change, signal.weight, signal.group) for change in changes)
 
 
-def _change(value: np.ndarray, weight: np.ndarray, taken: np.ndarray, run: Any) -> np.ndarray:
+def _change(
+    value: np.ndarray, weight: np.ndarray, whole: np.ndarray, taken: np.ndarray, run: Any
+) -> np.ndarray:
+    """What the network would add to `value`; `whole`, `taken` (h, w): what it sees, what it changes."""
+    from scipy.ndimage import gaussian_filter
+
+    def blurred(values: np.ndarray) -> np.ndarray:
+        return gaussian_filter(values, (NEAR, NEAR, 0), mode="constant", truncate=3.0)
+
     there = taken[..., None] & (weight > 0)
     light = np.divide(value, weight, out=np.zeros(value.shape), where=there)
-    shift = np.maximum(np.quantile(-light[taken], DEEPEST, axis=0, method="lower"), 0.0)
-    seen = shift + np.where(there, light, _near(light, there))
+    shift = np.maximum(np.quantile(-light[whole], DEEPEST, axis=0, method="lower"), 0.0)
+    solid = there & whole[..., None]
+    near, weights = blurred(np.where(solid, value, 0.0)), blurred(np.where(solid, weight, 0.0))
+    near = np.divide(near, weights, out=np.zeros(value.shape), where=weights > 1e-6)
+    seen = shift + np.where(solid, light, near)
     deeper = np.minimum(seen, 0.0)
-    clean = run(seen - deeper) - shift + deeper
+    clean = run(seen - deeper) - shift + np.where(solid, deeper, 0.0)
     return np.where(there, clean * weight - value, 0.0)
-
-
-def _near(values: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """The mean of what is there of the square around each pixel; 0 where nothing is."""
-    from scipy.ndimage import uniform_filter
-
-    size = (NEAR, NEAR, 1)
-    total = uniform_filter(np.where(there, values, 0.0), size, mode="constant")
-    share = uniform_filter(there.astype(np.float64), size, mode="constant")
-    return np.where(share > 0.5 / NEAR**2, total / np.maximum(share, 0.5 / NEAR**2), 0.0)

@@ -23,14 +23,16 @@ class Signal:
     """One side of a frame, virtual (P) or real (D).
 
     `value` (h, w, 3) float64: P or D. `weight` (h, w, 3): reflectance times share of the pixel; value /
-    weight is light. `halves`, `half_weights` (2, h, w, 3): the same of each half. `group` (h, w) int32:
-    pixels of one number above 0 may be averaged; -1 shows several objects; those of 0 are left as they are.
+    weight is light. `halves`, `half_weights` (2, h, w, 3): the same of each half. `share` (h, w): of the
+    pixel that this side fills, 0..1. `group` (h, w) int32: pixels of one number above 0 may be averaged; -1
+    shows several objects; those of 0 are left as they are.
     """
 
     value: np.ndarray
     weight: np.ndarray
     halves: np.ndarray
     half_weights: np.ndarray
+    share: np.ndarray
     group: np.ndarray
     guide: Guide
 
@@ -44,6 +46,7 @@ def virtual_signal(developed: Developed, guides: Guides) -> Signal:
         weight=developed.a[..., None] * texture,
         halves=developed.halves[..., P : P + 3],
         half_weights=developed.halves[..., A, None] * texture,
+        share=developed.a,
         group=_groups(developed.a > 0, guide),
         guide=guide,
     )
@@ -59,6 +62,7 @@ def real_signal(developed: Developed, guides: Guides) -> Signal:
         weight=visible[..., None] * guide.reflectance,
         halves=developed.halves[..., D : D + 3],
         half_weights=(1 - developed.halves[..., A, None]) * guide.reflectance,
+        share=visible,
         group=_groups(changed & (visible > 0), guide),
         guide=guide,
     )
