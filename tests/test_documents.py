@@ -87,7 +87,8 @@ def test_dependencies_are_described():
     from packaging.requirements import Requirement
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    lines = [*project["dependencies"], *project["optional-dependencies"]["test"]]
+    extras = project["optional-dependencies"]
+    lines = [*project["dependencies"], *extras["denoise"], *extras["test"]]
     text = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
     described = set(re.findall(r"^\| ([\w.-]+)", text, flags=re.MULTILINE)) - {"package", "---"}
     assert described == {Requirement(line).name for line in lines}

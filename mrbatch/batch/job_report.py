@@ -174,7 +174,7 @@ def _report_of(directory: Path, job_hash: str | None, distrusted: Collection[int
             counters=counters,
         ),
         runs=tuple(_run(run) for run in held.runs),
-        notes=tuple(_notes(shot, held)),
+        notes=tuple(_notes(record, shot, held)),
         pictures=tuple(_pictures(directory, record.get("layers", ()), held)),
         exit=_exit(held, frames),
     )
@@ -314,8 +314,12 @@ def _meanings(record: Mapping[str, Any]) -> dict[str, str]:
     return found
 
 
-def _notes(shot: Shot | None, held: Holdings) -> list[Note]:
+def _notes(record: Mapping[str, Any], shot: Shot | None, held: Holdings) -> list[Note]:
     notes = [Note(level="info", text=text) for text in (shot.notes if shot else ())]
+    kind = record["settings"].get("output", {}).get("filter", {}).get("kind", "none")
+    if kind != "none":
+        text = f"the frames went through the filter `{kind}`; noise is told as it was before it"
+        notes.append(Note(level="info", text=text))
     if held.runs:
         notes += [Note(level="warning", text=text) for text in held.runs[-1].notes]
     for run in _cut_short(held):

@@ -32,7 +32,7 @@ SEVERAL = wp.constant(wp.int32(-1))
 NEED = "guides"
 """The name in `Outputs.needs` that asks for this pass."""
 
-COUNTERS = (Counter("guide rays", "rays", "rays from the camera for the guides of a filter"),)
+COUNTERS = (Counter("guide samples", "rays", "rays from the camera for the guides of a filter"),)
 _VECTORS = ("normal", "position", "reflectance")
 
 

@@ -88,8 +88,10 @@ def test_without_a_filter_there_is_no_pass_of_it(shot, plain):
     outcome = plain[3]
     names = ran(outcome)
     assert not any("guide" in name or "filter" in name for name in names)
-    _, _, _, other = render(shot, "passes", "output.filter.kind=bilateral")
+    assert not any("filter" in note.text for note in outcome.report.notes)
+    other = render(shot, "passes", "output.filter.kind=bilateral")[3]
     assert {"filter", "guides"} <= ran(other)
+    assert any("went through the filter `bilateral`" in note.text for note in other.report.notes)
 
 
 def test_a_radius_is_refused_where_there_is_none_to_choose(shot):

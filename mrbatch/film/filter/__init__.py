@@ -1,1 +1,1 @@
-"""Filters that take noise out of a finished frame."""
+"""Filters that take noise out of a finished frame: see docs/filter.md."""

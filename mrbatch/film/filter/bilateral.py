@@ -3,7 +3,8 @@
 *Delta Path Tracing for Real-Time Global Illumination in Mixed Reality* filters the radiance with weights
 from guides. On a plane all guides are equal, so that is a plain blur: it rounds off every shadow. Here light
 is filtered without texture and coverage, each object apart (`signal.py`), and the change is applied as far as
-noise accounts for it (`strength.py`).
+noise accounts for it (`strength.py`). The strength takes a little of the mean, which is given back
+(`residual.py`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from mrbatch.film.filter.neighbours import Surfaces, launch, picture, surface_distance, surfaces_of
+from mrbatch.film.filter.residual import mean_kept
 from mrbatch.film.filter.signal import Signal
 from mrbatch.film.filter.strength import strength_of
 
@@ -63,8 +65,8 @@ def bilateral(
 ) -> tuple[np.ndarray, ...]:
     """What to add to `signal.value`, then to each of `also` (parts of it, (h, w, 3)) with the same weights.
 
-    (h, w, 3) float64; 0 where the group is 0 or less. Reads pixels up to radius + `strength.REACH` away.
-    `radius` 2 is 5 x 5.
+    (h, w, 3) float64; 0 where the group is 0 or less. Reads pixels up to radius + `strength.REACH` +
+    `residual.REACH` away. `radius` 2 is 5 x 5.
     """
     surfaces = surfaces_of(signal.group, signal.guide)
     shape = signal.group.shape
@@ -78,4 +80,5 @@ def bilateral(
 
     change, share = mean(signal.value)
     s = strength_of(signal, surfaces, change, share, threads)
-    return (s * change, *(s * mean(part)[0] for part in also))
+    changes = [change, *(mean(part)[0] for part in also)]
+    return tuple(mean_kept(s * one, signal.weight, signal.group) for one in changes)
