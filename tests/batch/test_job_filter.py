@@ -126,3 +126,27 @@ def test_the_error_to_a_converged_picture_falls_and_the_mean_stays(tmp_path, kin
     before, after = (np.sqrt(np.mean((picture(c) - picture(truth))[changed] ** 2)) for c in (raw, found))
     assert after < 0.6 * before
     assert picture(found)[changed].mean() == pytest.approx(picture(raw)[changed].mean(), rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_reflectance_from_the_photo_is_divided_out_and_laid_over_again(tmp_path, kind):
+    """The photo is noise, and with it the reflectance that is read from it: the light change relative to the
+    photo is smooth all the same, and stays as grainy as the photo in itself."""
+    asked = installed(kind)
+    table = {"name": "table", "plane": {"size": ["0.3 m", "0.3 m"]}, "reflectance": "photo"}
+    path = write_job(tmp_path, (0,), spp=16, real=[table])
+    raw, found = render(path, "raw")[0], render(path, kind, asked)[0]
+    photo = raw["background.G"]
+    whole = (raw["virtual.A"] == 0) & (raw["delta.G"] != 0) & (photo > 0.05) & (photo < 0.4)
+
+    def grain(values):
+        """Spread beside the mean of 3 x 3 neighbours, over the pixels that are whole with all of them."""
+        windows = [np.roll(values, (j, i), (0, 1)) for j in (-1, 0, 1) for i in (-1, 0, 1)]
+        there = np.all([np.roll(near, (j, i), (0, 1)) for j in (-1, 0, 1) for i in (-1, 0, 1)], axis=0)
+        return np.std((values - np.mean(windows, axis=0))[there & whole])
+
+    near = (raw["virtual.A"] == 0) & (raw["delta.G"] != 0)
+    assert whole.sum() > 100
+    relative = [grain(c["delta.G"] / np.maximum(photo, 1e-3)) for c in (raw, found)]
+    assert relative[1] < 0.7 * relative[0]
+    assert grain(found["delta.G"]) > 0.5 * grain(raw["delta.G"])
