@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from mrbatch.film.accumulator import picture_data
@@ -31,7 +32,11 @@ def bind_view(
     film = outputs.layout(view).data(frame.buffers, given.background)
     later = given.next_camera or given.camera
     there = camera_data(later, scene.scene.origin)
-    hits = first_hit_data(view, outputs, frame.buffers, there, given.shifts)
+    shifts = given.shifts
+    if shifts is None:
+        # The last frame of a shot tells motion to itself.
+        shifts = np.tile(np.eye(4), (len(scene.scene.objects) or 1, 1, 1))
+    hits = first_hit_data(view, outputs, frame.buffers, there, shifts)
     if not photo:
         return params, film, hits
     whole = given.background if given.photo is None else given.photo

@@ -178,12 +178,10 @@ def _make_kernel(
 
 
 def first_hit_data(
-    view: ViewOutput, outputs: Outputs, buffers: Any, next_camera: Any, shifts: np.ndarray | None = None
+    view: ViewOutput, outputs: Outputs, buffers: Any, next_camera: Any, shifts: np.ndarray
 ) -> Any:
-    """`FirstHitData` over allocated buffers; `shifts` as in `ViewInput`."""
+    """`FirstHitData` over allocated buffers; `shifts` (objects, 4, 4) as in `ViewInput`."""
     data = FirstHitData()
-    if shifts is None:
-        shifts = np.eye(4)[None]
     data.shifts = wp.array(shifts.astype(np.float32), dtype=wp.mat44, device=outputs.device)
     data.next_camera = next_camera
     dtypes = {"depth": wp.float32, "normal": wp.vec3, "albedo": wp.vec3, "motion": wp.vec2}

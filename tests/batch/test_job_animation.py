@@ -119,3 +119,10 @@ def test_what_cannot_be_is_said(tmp_path, wrong, message):
     crate = {k: v for k, v in CRATE.items() if k != "transform"} | wrong
     with pytest.raises(JobErrors, match=message):
         load_job(job_with(tmp_path / "wrong", crate))
+
+
+def test_the_last_frame_moves_nowhere(moving):
+    """There is no next one to tell motion to: of no object, whatever its number."""
+    last = channels(render(moving), FRAMES[-1])
+    seen = last["virtual.A"] > 0
+    assert seen.any() and np.abs(last["motion.X"][seen]).max() < 1e-3 > np.abs(last["motion.Y"][seen]).max()
