@@ -163,11 +163,14 @@ class DeviceScene:
     engine: Engine
     kept: tuple[Any, ...]
     device: str = "cpu"
+    first: Any = None
 
     def show(self, frame: float) -> None:
         """Whoever launches kernels afterwards takes `data` anew. A still scene costs nothing."""
         if self.scene.moves:
-            now = upload(self.scene.at(frame), self.engine, self.device, shared=self.data)
+            # Textures and light stay where they are: whoever made them has to live on.
+            self.first = self.first or self.data
+            now = upload(self.scene.at(frame), self.engine, self.device, shared=self.first)
             self.data, self.kept = now.data, now.kept
 
 
