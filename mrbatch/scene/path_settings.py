@@ -20,13 +20,17 @@ class SamplingSettings(Settings):
     strategy: Literal["mis", "environment", "bsdf"] = Field(
         "mis", description="How light from the map is sampled: both ways weighted, or one of them alone"
     )
-    sampler: Literal["owen", "independent"] = Field(
-        "owen", description="Random numbers: Owen-scrambled Sobol points, or independent ones"
+    sampler: Literal["owen", "independent", "cranley-patterson"] = Field(
+        "owen",
+        description="Random numbers: Owen-scrambled Sobol points, independent ones, or Sobol points with a "
+        "random shift, for comparisons",
     )
-    light_sampler: Literal["auto", "median-cut", "cdf"] = Field(
+    light_sampler: Literal["auto", "median-cut", "cdf", "alias", "sample-map"] = Field(
         "auto",
-        description="How directions are drawn from the map: leaves of equal light found without a search, or "
-        "texel by texel from summed rows and columns; `auto`: leaves where they add no noise",
+        description="How directions are drawn from the map: leaves of equal light found without a search, "
+        "texel by texel from summed rows and columns, or the same from an alias table; `auto`: leaves where "
+        "they add no noise, else sums. `sample-map`, a fixed set of stored directions, is biased and for "
+        "comparisons only",
     )
     pixel_filter: Literal["box", "gaussian", "blackman-harris"] = Field(
         "box", description="Reconstruction filter of the virtual layers; the photo is never filtered"
@@ -70,7 +74,18 @@ PATH_AXES = (
         "light samples", "method.light_samples", (1, 2, 4, 8), "noise of direct light ~ N^-1/2", "shadow rays"
     ),
     Axis(
-        "sampler", "method.sampler", ("owen", "independent"), "slope -1/2 to -3/4 where smooth", "camera rays"
+        "light sampler",
+        "method.light_sampler",
+        ("cdf", "median-cut", "alias", "sample-map"),
+        "time; bias of the last",
+        "shadow rays",
+    ),
+    Axis(
+        "sampler",
+        "method.sampler",
+        ("owen", "cranley-patterson", "independent"),
+        "slope -1/2 to -3/4 where smooth",
+        "camera rays",
     ),
 )
 """Settings of light paths that trade accuracy for time, and the law expected."""
