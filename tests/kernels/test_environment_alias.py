@@ -102,8 +102,17 @@ def test_buckets_hold_what_cells_weigh_to_the_last_part(seed):
 
 @pytest.mark.parametrize(
     "weight",
-    [[1.0], [0.0, 0.0], [1.0] * 7, [0.0, 0.0, 5.0, 0.0], [1.0, 2.0, 3.0], [1e-300, 1.0], [3.0] + [1.0] * 9],
-    ids=["one", "black", "equal", "one lit", "rising", "nearly nothing", "one above"],
+    [
+        [0.0, 2.0, 0.0, 2.0],
+        [1.0],
+        [0.0, 0.0],
+        [1.0] * 7,
+        [0.0, 0.0, 5.0, 0.0],
+        [1.0, 2.0, 3.0],
+        [1e-300, 1.0],
+        [3.0] + [1.0] * 9,
+    ],
+    ids=["ties", "one", "black", "equal", "one lit", "rising", "nearly nothing", "one above"],
 )
 def test_small_tables(weight):
     parts = whole_parts(np.array(weight))
