@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mrbatch.bench.bounces import OURS, Bounces
-from mrbatch.bench.samplers import LIGHT_SAMPLERS, Samplers
+from mrbatch.bench.samplers import Samplers
 from mrbatch.bench.strategies import Strategies
 from mrbatch.bench.variants import Reference
 from mrbatch.metrics.statistics import Interval
@@ -68,11 +68,12 @@ def draw_samplers(found: Samplers) -> None:
             number(row.rmse),
             number(row.rmse_real),
             number(row.rmse_virtual),
+            f"{row.cost:.2f}",
         )
         for row in found.rows
     ]
-    heads = ("of", "sampler", "seconds", "over the first", "RMSE", "on real", "on virtual")
-    _draw(heads, rows, f"{found.method}; {_setting(found)}", breaks=len(LIGHT_SAMPLERS))
+    heads = ("of", "sampler", "seconds", "over the first", "RMSE", "on real", "on virtual", "time x error^2")
+    _draw(heads, rows, f"{found.method}; {_setting(found)}")
 
 
 def interval(value: Interval) -> str:

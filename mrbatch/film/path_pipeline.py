@@ -52,6 +52,7 @@ def camera_path_flags(
         "interpolation": light.interpolation,
         "sampler": settings.sampler,
         "light_sampler": scene.light_sampler(settings.light_sampler),
+        "light_candidates": settings.light_candidates,
         "several_lights": settings.light_samples > 1,
         "strategy": settings.strategy if on("environment-light") else "bsdf",
         "shading": ShadingFlags(

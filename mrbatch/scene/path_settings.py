@@ -61,6 +61,11 @@ class PathSettings(SamplingSettings):
     light_samples: Annotated[int, Field(ge=1, le=64)] = Field(
         1, description="Directions drawn from the map where the camera's ray ends, for each sample, 1..64"
     )
+    light_candidates: Annotated[int, Field(ge=1, le=32)] = Field(
+        1,
+        description="Directions from the map among which each one that a ray follows is chosen, by how much "
+        "of the light from there the surface would send on, 1..32; 1: no choice",
+    )
 
 
 PATH_AXES = (
@@ -72,6 +77,13 @@ PATH_AXES = (
     ),
     Axis(
         "light samples", "method.light_samples", (1, 2, 4, 8), "noise of direct light ~ N^-1/2", "shadow rays"
+    ),
+    Axis(
+        "light candidates",
+        "method.light_candidates",
+        (1, 2, 4, 8),
+        "noise of unshadowed light ~ N^-1/2",
+        "shadow rays",
     ),
     Axis(
         "light sampler",
