@@ -16,6 +16,7 @@ from mrbatch.scene.scene import Material
 
 PHOTO = np.full((24, 32, 3), 0.3, np.float32)
 SHINY = Material("conductor", (0.9, 0.7, 0.3), 0.3)
+FROSTED = Material("dielectric", (1.0,) * 3, 0.3, ior=1.5)
 
 
 def lamps():
@@ -32,7 +33,7 @@ def scene(kind):
         virtual("right", ball(0.4, at=(1.4, 0.2, 0.4), subdivisions=3), (0.3, 0.5, 0.8)),
     ]
     if kind == "glossy":
-        balls = [replace(item, material=SHINY) for item in balls]
+        balls = [replace(item, material=material) for item, material in zip(balls, (SHINY, FROSTED))]
     return scene_of([*corner(0.5, size=16.0), *balls], lamps())
 
 
