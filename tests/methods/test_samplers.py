@@ -75,3 +75,7 @@ def test_a_shot_uploads_only_what_it_asks_for(asked, holds):
     environment = device.data.environment
     assert bool(environment.buckets) == (holds == "buckets")
     assert bool(environment.stored) == (holds == "stored")
+    later = upload(device.scene, device.engine, shared=device.data).data.environment
+    assert (bool(later.buckets), bool(later.stored)) == (holds == "buckets", holds == "stored"), (
+        "moved scenes"
+    )
