@@ -9,8 +9,9 @@ import click
 from mrbatch.batch.prepare import Prepared, prepare
 from mrbatch.bench.bounces import bounces as compare_bounces
 from mrbatch.bench.ray_share import ray_share
+from mrbatch.bench.samplers import samplers as compare_samplers
 from mrbatch.bench.strategies import strategies as compare_strategies
-from mrbatch.bench.tables import draw_bounces, draw_strategies, write_json
+from mrbatch.bench.tables import draw_bounces, draw_samplers, draw_strategies, write_json
 from mrbatch.bench.thread_scaling import thread_scaling
 from mrbatch.bench.time_to_error import time_to_error
 from mrbatch.bench.variants import Variants
@@ -195,6 +196,33 @@ def strategies(
             said=_told,
         )
         draw_strategies(found)
+        if json_file is not None:
+            write_json(found, json_file)
+    except MrbatchError as error:
+        raise click.ClickException(str(error)) from error
+
+
+@main.command()
+@_comparison
+def samplers(
+    job: Path,
+    settings: tuple[str, ...],
+    frame: int | None,
+    repeats: int,
+    threads: int,
+    reference_spp: int,
+    json_file: Path | None,
+) -> None:
+    """Ways to draw directions from the map, and sequences of random numbers: error at equal samples."""
+    try:
+        found = compare_samplers(
+            Variants(job, settings, frame=frame),
+            repeats=repeats,
+            reference_spp=reference_spp,
+            threads=threads,
+            said=_told,
+        )
+        draw_samplers(found)
         if json_file is not None:
             write_json(found, json_file)
     except MrbatchError as error:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mrbatch.bench.bounces import OURS, Bounces
+from mrbatch.bench.samplers import Samplers
 from mrbatch.bench.strategies import Strategies
 from mrbatch.bench.variants import Reference
 from mrbatch.metrics.statistics import Interval
@@ -56,12 +57,31 @@ def draw_strategies(found: Strategies) -> None:
     _draw(heads, rows, f"{found.method}; {_setting(found)}")
 
 
+def draw_samplers(found: Samplers) -> None:
+    """Prints the table of a comparison of samplers."""
+    rows = [
+        (
+            row.kind,
+            row.sampler,
+            seconds(float(np.median(row.seconds))),
+            interval(row.ratio),
+            number(row.rmse),
+            number(row.rmse_real),
+            number(row.rmse_virtual),
+            f"{row.cost:.2f}",
+        )
+        for row in found.rows
+    ]
+    heads = ("of", "sampler", "seconds", "over the first", "RMSE", "on real", "on virtual", "time x error^2")
+    _draw(heads, rows, f"{found.method}; {_setting(found)}")
+
+
 def interval(value: Interval) -> str:
     """A ratio with its interval."""
     return f"{value.value:.2f} [{value.low:.2f}, {value.high:.2f}]"
 
 
-def as_json(found: Bounces | Strategies) -> dict[str, Any]:
+def as_json(found: Bounces | Samplers | Strategies) -> dict[str, Any]:
     """Everything but the pictures; what is not a number is null."""
     plain = {f.name: getattr(found, f.name) for f in fields(found) if f.name not in ("rows", "reference")}
     plain = {name: asdict(value) if isinstance(value, Interval) else value for name, value in plain.items()}
@@ -80,7 +100,7 @@ def as_json(found: Bounces | Strategies) -> dict[str, Any]:
     return {**plain, "reference": reference, "rows": rows}
 
 
-def write_json(found: Bounces | Strategies, path: Path) -> None:
+def write_json(found: Bounces | Samplers | Strategies, path: Path) -> None:
     """Writes `as_json`. Raises ResourceError where the file cannot be written."""
     write_text(path, json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
 
@@ -93,7 +113,7 @@ def _rays(counters: dict[str, int]) -> int:
     return sum(n for name, n in counters.items() if name.endswith("rays"))
 
 
-def _setting(found: Bounces | Strategies) -> str:
+def _setting(found: Bounces | Samplers | Strategies) -> str:
     reference: Reference = found.reference
     threads = "1 thread" if found.threads == 1 else f"{found.threads} threads"
     return (
@@ -110,7 +130,7 @@ def _draw(heads: Sequence[str], rows: Sequence[Sequence[str]], note: str, *, bre
 
     table = Table(box=SIMPLE)
     for place, head in enumerate(heads):
-        words = place == 0 or head == "method"
+        words = place == 0 or head in ("method", "sampler")
         table.add_column(head, justify="left" if words else "right", no_wrap=True)
     for place, row in enumerate(rows):
         table.add_row(*row, end_section=bool(breaks) and place % breaks == breaks - 1)

@@ -51,7 +51,8 @@ def camera_path_flags(
         "distortion": view.distortion and on("lens-distortion"),
         "interpolation": light.interpolation,
         "sampler": settings.sampler,
-        "light_sampler": light.light_sampler if settings.light_sampler == "auto" else settings.light_sampler,
+        "light_sampler": scene.light_sampler(settings.light_sampler),
+        "light_candidates": settings.light_candidates,
         "several_lights": settings.light_samples > 1,
         "strategy": settings.strategy if on("environment-light") else "bsdf",
         "shading": ShadingFlags(

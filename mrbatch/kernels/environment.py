@@ -15,66 +15,18 @@ from typing import Any, Literal
 
 import warp as wp
 
+from mrbatch.kernels.environment_alias import alias_prefetch, alias_sample
+from mrbatch.kernels.environment_cells import (
+    EnvironmentData,
+    EnvironmentSample,
+    direction_in_cell,
+)
+from mrbatch.kernels.environment_sample_map import sample_map_prefetch, sample_map_sample
 from mrbatch.kernels.numerics import arctangent2, sine_cosine_turns
 from mrbatch.kernels.rng import uint_to_double, uint_to_float
 
 _INV_PI = wp.constant(wp.float32(0.3183098861837907))
 _INV_TWO_PI = wp.constant(wp.float32(0.15915494309189535))
-_PI = wp.constant(wp.float64(3.141592653589793))
-_ONE = wp.constant(wp.float64(1.0))
-_ZERO = wp.constant(wp.float64(0.0))
-
-
-@wp.struct
-class EnvironmentData:
-    """Tables of one map; R x W sampling cells.
-
-    `map_from_world`: a rotation. `nodes` (Rn, Wn): radiance, padded so that a look-up needs neither
-    wrap nor clamp. A point (u, v) has column coordinate u * column_scale + column_offset and row
-    coordinate v * row_scale + row_offset; their whole parts name the cell. `pdf` (R, W + 1): per
-    steradian, the last column a copy of the first. `row_z` (R + 1): cosine of the polar angle at the
-    cells' edges. `row_cdf` (R + 1), `column_cdf` (R * (W + 1), row after row): float64, from 0 to
-    exactly 1. `row_guide` (row_bins + 1), `column_guide` (R * (column_bins + 1)): for each of a power
-    of two of equal intervals of [0, 1], the cell that holds its start.
-    `step`: 2 pi / W; `density`: 1 / step, or 0 for a black map. `leaves` (4^leaf_bits), `splits`
-    (4^leaf_bits): the median-cut table (`scene.environment_median_cut`); `leaf_density`: probability of a
-    leaf over 2 pi, or 0 for a black map.
-    """
-
-    map_from_world: wp.mat33
-    row_scale: float
-    row_offset: float
-    column_scale: float
-    column_offset: float
-    rows: int
-    columns: int
-    row_bins: int
-    column_bins: int
-    density: wp.float64
-    step: wp.float64
-    nodes: wp.array2d(dtype=wp.vec3)
-    pdf: wp.array2d(dtype=wp.float32)
-    row_z: wp.array(dtype=wp.float64)
-    row_cdf: wp.array(dtype=wp.float64)
-    row_guide: wp.array(dtype=wp.uint16)
-    column_cdf: wp.array(dtype=wp.float64)
-    column_guide: wp.array(dtype=wp.uint16)
-    leaf_bits: int
-    leaf_density: float
-    leaves: wp.array(dtype=wp.vec4)
-    splits: wp.array(dtype=wp.float32)
-
-
-@wp.struct
-class EnvironmentSample:
-    """A sampled direction: unit, world frame; density per steradian.
-
-    A black map gives density 0: check before dividing. The radiance from there is for the caller to
-    read, who often finds first that it is not needed.
-    """
-
-    direction: wp.vec3
-    pdf: float
 
 
 @wp.func
@@ -150,19 +102,9 @@ def env_sample(env: EnvironmentData, bits: wp.vec2ui) -> EnvironmentSample:
     column_width = env.column_cdf[first + column + 1] - left
     fx = (u[1] - left) / column_width
 
-    top = env.row_z[row]
-    drop = top - env.row_z[row + 1]
-    z = top - rest * drop
-    # (1 - z)(1 + z) keeps the sine's digits near the poles.
-    sine = wp.sqrt(wp.max((_ONE - z) * (_ONE + z), _ZERO))
-    phi = float(_PI - (wp.float64(column) + fx - wp.float64(env.column_offset)) * env.step)
-    fz = float(z)
-    fsine = float(sine)
-
+    drop = env.row_z[row] - env.row_z[row + 1]
     result = EnvironmentSample()
-    result.direction = wp.transpose(env.map_from_world) @ wp.vec3(
-        fsine * wp.cos(phi), fsine * wp.sin(phi), fz
-    )
+    result.direction = direction_in_cell(env, row, column, rest, fx)
     # Probability over solid angle; reading it from `pdf` would be one more cache miss.
     result.pdf = float(row_width * column_width * env.density / drop)
     return result
@@ -241,7 +183,7 @@ def median_cut_pdf(env: EnvironmentData, d: wp.vec3) -> float:
 @dataclass(frozen=True)
 class EnvironmentFunctions:
     """`radiance(env, d) -> vec3`, `pdf(env, d) -> float`, `sample(env, bits: vec2ui) ->
-    EnvironmentSample`."""
+    EnvironmentSample`; `prefetch(env, bits)` asks the memory for what `sample` will read."""
 
     interpolation: str
     radiance: Any
@@ -267,22 +209,30 @@ def _make(interpolate: Any) -> Any:
 env_radiance = _make(_bilinear)
 _nearest_radiance = _make(_nearest)
 
-LightSampler = Literal["median-cut", "cdf"]
+LightSampler = Literal["median-cut", "cdf", "alias", "sample-map"]
 """How directions are drawn from a map: `median-cut`, leaves of equal probability found without a search;
-`cdf`, texel by texel in proportion, found in sums of rows and columns."""
+`cdf`, cell by cell in proportion, found in sums of rows and columns; `alias`, the same, found in one look-up;
+`sample-map`, from a fixed set of stored directions (biased)."""
+
+_SAMPLERS = {
+    "median-cut": (median_cut_pdf, median_cut_sample, median_cut_prefetch),
+    "cdf": (env_pdf, env_sample, no_prefetch),
+    "alias": (env_pdf, alias_sample, alias_prefetch),
+    "sample-map": (env_pdf, sample_map_sample, sample_map_prefetch),
+}
 
 
 def make_environment(
     interpolation: Literal["bilinear", "nearest"] = "bilinear", sampler: LightSampler = "cdf"
 ) -> EnvironmentFunctions:
-    """The functions for a map whose tables were made with this interpolation."""
+    """The functions for a map whose tables were made with this interpolation.
+
+    `alias` and `sample-map` want tables that `Environment.provide` uploads. Raises ValueError for an unknown
+    name.
+    """
     radiances = {"bilinear": env_radiance, "nearest": _nearest_radiance}
     if interpolation not in radiances:
         raise ValueError(f"unknown interpolation `{interpolation}`: expected bilinear or nearest")
-    samplers = {
-        "median-cut": (median_cut_pdf, median_cut_sample, median_cut_prefetch),
-        "cdf": (env_pdf, env_sample, no_prefetch),
-    }
-    if sampler not in samplers:
-        raise ValueError(f"unknown light sampler `{sampler}`: expected median-cut or cdf")
-    return EnvironmentFunctions(interpolation, radiances[interpolation], *samplers[sampler])
+    if sampler not in _SAMPLERS:
+        raise ValueError(f"unknown light sampler `{sampler}`: expected one of {', '.join(_SAMPLERS)}")
+    return EnvironmentFunctions(interpolation, radiances[interpolation], *_SAMPLERS[sampler])

@@ -3,11 +3,11 @@
 A *key* stands for everything but sample index and dimension. No state is carried, so a number
 depends neither on tiles and threads nor on which other numbers are drawn.
 
-Two samplers share one interface. `owen`: Sobol's first two dimensions, Owen-scrambled by hashing
+Three samplers share one interface. `owen`: Sobol's first two dimensions, Owen-scrambled by hashing
 and padded (Burley, Practical Hash-based Owen Scrambling, JCGT 9(4), 2020): each dimension number is
 a fresh pair, with its own scramble and its own nested permutation of the sample index, so that
 pairs are independent of each other while each pair keeps its net. `independent`: a counter-based
-hash.
+hash. `cranley-patterson`, a baseline: the same points, shifted instead of scrambled.
 """
 
 from __future__ import annotations
@@ -16,6 +16,14 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import warp as wp
+
+from mrbatch.kernels.sobol import (
+    reverse_bits,
+    scramble_lanes,
+    scramble_reversed,
+    second_sobol_reversed,
+    vec8ui,
+)
 
 _GOLDEN = wp.constant(wp.uint64(0x9E3779B97F4A7C15))
 _STRIDE = wp.constant(wp.uint64(0xD1342543DE82EF95))
@@ -66,39 +74,6 @@ def pixel_key(seed: wp.uint32, frame: int, view: int, half: int, x: int, y: int)
 
 
 @wp.func
-def _reverse_bits(v: wp.uint32) -> wp.uint32:
-    x = ((v >> wp.uint32(1)) & wp.uint32(0x55555555)) | ((v & wp.uint32(0x55555555)) << wp.uint32(1))
-    x = ((x >> wp.uint32(2)) & wp.uint32(0x33333333)) | ((x & wp.uint32(0x33333333)) << wp.uint32(2))
-    x = ((x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F)) | ((x & wp.uint32(0x0F0F0F0F)) << wp.uint32(4))
-    x = ((x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)) | ((x & wp.uint32(0x00FF00FF)) << wp.uint32(8))
-    return (x >> wp.uint32(16)) | (x << wp.uint32(16))
-
-
-@wp.func
-def _scramble_reversed(v: wp.uint32, seed: wp.uint32) -> wp.uint32:
-    # Laine and Karras' hash with Vegdahl's constants (psychopath.io, 2021): a bit of the result
-    # depends on itself and lower bits only, which on reversed words is Owen's nested scramble.
-    x = v
-    x = x ^ (x * wp.uint32(0x3D20ADEA))
-    x = x + seed
-    x = x * ((seed >> wp.uint32(16)) | wp.uint32(1))
-    x = x ^ (x * wp.uint32(0x05526C56))
-    return x ^ (x * wp.uint32(0x53A22864))
-
-
-@wp.func
-def _second_sobol_reversed(index: wp.uint32) -> wp.uint32:
-    # Sobol's second generator matrix is Pascal's triangle mod 2; its product with the index in five
-    # steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence, EGSR 2024), bits reversed.
-    x = index
-    x = x ^ ((x >> wp.uint32(1)) & wp.uint32(0x55555555))
-    x = x ^ ((x >> wp.uint32(2)) & wp.uint32(0x33333333))
-    x = x ^ ((x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F))
-    x = x ^ ((x >> wp.uint32(8)) & wp.uint32(0x00FF00FF))
-    return x ^ (x >> wp.uint32(16))
-
-
-@wp.func
 def _dimension_hash(key: wp.uint64, dimension: int) -> wp.uint64:
     return mix64(key + (wp.uint64(wp.uint32(dimension)) + _ONE64) * _STRIDE)
 
@@ -127,19 +102,19 @@ def uint_to_double(x: wp.uint32) -> wp.float64:
 
 @wp.func
 def _owen_index(index: int, h: wp.uint64) -> wp.uint32:
-    return _reverse_bits(_scramble_reversed(_reverse_bits(wp.uint32(index)), _low(h)))
+    return reverse_bits(scramble_reversed(reverse_bits(wp.uint32(index)), _low(h)))
 
 
 @wp.func
 def _owen_x(permuted: wp.uint32, h: wp.uint64) -> wp.uint32:
-    return _reverse_bits(_scramble_reversed(permuted, _high(h)))
+    return reverse_bits(scramble_reversed(permuted, _high(h)))
 
 
 @wp.func
 def _owen_y(permuted: wp.uint32, h: wp.uint64) -> wp.uint32:
     # The upper half of an odd multiple of mixed bits: as good as mixing again, at a third of the cost.
     seed = _high(h * _STRIDE)
-    return _reverse_bits(_scramble_reversed(_second_sobol_reversed(permuted), seed))
+    return reverse_bits(scramble_reversed(second_sobol_reversed(permuted), seed))
 
 
 @wp.func
@@ -208,53 +183,43 @@ class StartNumbers:
     vertex: VertexNumbers
 
 
-vec8ui = wp.types.vector(length=8, dtype=wp.uint32)
+@wp.func
+def shifted_2d_bits(key: wp.uint64, index: int, dimension: int) -> wp.vec2ui:
+    """Sobol pair as 32-bit fractions, each shifted round by one random number a key and dimension.
 
-# Owen's scramble of eight words at once: every step waits for the one before, so that one number takes as
-# long as all of them. The same steps as `_scramble_reversed` and `_reverse_bits`.
-_LANES_STEPS = """
-    x = x ^ (x * 0x3D20ADEAu);
-    x = x + seed;
-    x = x * ((seed >> 16) | 1u);
-    x = x ^ (x * 0x05526C56u);
-    x = x ^ (x * 0x53A22864u);
-    x = ((x >> 1) & 0x55555555u) | ((x & 0x55555555u) << 1);
-    x = ((x >> 2) & 0x33333333u) | ((x & 0x33333333u) << 2);
-    x = ((x >> 4) & 0x0F0F0F0Fu) | ((x & 0x0F0F0F0Fu) << 4);
-    x = ((x >> 8) & 0x00FF00FFu) | ((x & 0x00FF00FFu) << 8);
-    x = (x >> 16) | (x << 16);
-"""
-_LANES_SOURCE = f"""
-#if defined(__clang__) && !defined(__CUDACC__)
-    typedef unsigned lanes __attribute__((ext_vector_type(8)));
-    lanes x, seed;
-    for (int k = 0; k < 8; ++k) {{ x[k] = words[k]; seed[k] = seeds[k]; }}
-    {_LANES_STEPS}
-    wp::vec_t<8, unsigned> result;
-    for (int k = 0; k < 8; ++k) result[k] = x[k];
-    return result;
-#else
-    wp::vec_t<8, unsigned> result;
-    for (int k = 0; k < 8; ++k) {{
-        unsigned x = words[k], seed = seeds[k];
-        {_LANES_STEPS}
-        result[k] = x;
-    }}
-    return result;
-#endif
-"""
+    Cranley and Patterson, *Randomization of Number Theoretic Methods for Multiple Integration*, SIAM J.
+    Numer. Anal. 13(6), 1976. In integers a shift cannot round to 1. Each dimension takes the points in an
+    order of its own, as `owen_2d` does: shifted copies of one order, as printed in Xu et al., would tie pairs
+    to each other in every pixel.
+    """
+    h = _dimension_hash(key, dimension)
+    permuted = _owen_index(index, h)
+    return wp.vec2ui(
+        reverse_bits(permuted) + _high(h),
+        reverse_bits(second_sobol_reversed(permuted)) + _high(h * _STRIDE),
+    )
 
 
-@wp.func_native(_LANES_SOURCE)
-def _scramble_lanes(words: vec8ui, seeds: vec8ui) -> vec8ui: ...
+@wp.func
+def shifted_2d(key: wp.uint64, index: int, dimension: int) -> wp.vec2:
+    """The same pair as floats in [0, 1)^2."""
+    bits = shifted_2d_bits(key, index, dimension)
+    return wp.vec2(uint_to_float(bits[0]), uint_to_float(bits[1]))
+
+
+@wp.func
+def shifted_1d(key: wp.uint64, index: int, dimension: int) -> float:
+    """The first of the pair."""
+    h = _dimension_hash(key, dimension)
+    return uint_to_float(reverse_bits(_owen_index(index, h)) + _high(h))
 
 
 @wp.func
 def _owen_lanes(a: wp.uint32, h: wp.uint64, b: wp.uint32, g: wp.uint64) -> vec8ui:
     # Pairs of the permuted indices a and b, with scrambles from the hashes h and g: one of a, two of b.
-    a2 = _second_sobol_reversed(a)
-    b2 = _second_sobol_reversed(b)
-    return _scramble_lanes(
+    a2 = second_sobol_reversed(a)
+    b2 = second_sobol_reversed(b)
+    return scramble_lanes(
         vec8ui(a, a2, b, b2, b, b2, _NONE, _NONE),
         vec8ui(
             _high(h),
@@ -321,6 +286,24 @@ def independent_start(key: wp.uint64, index: int, pixel: int, vertex: int) -> St
 
 
 @wp.func
+def shifted_vertex(key: wp.uint64, index: int, dimension: int) -> VertexNumbers:
+    """Two shifted pairs, each in an order of its own."""
+    result = VertexNumbers()
+    result.light = shifted_2d_bits(key, index, dimension)
+    result.scatter = shifted_2d_bits(key, index, dimension + 1)
+    return result
+
+
+@wp.func
+def shifted_start(key: wp.uint64, index: int, pixel: int, vertex: int) -> StartNumbers:
+    """A shifted pair of the dimension `pixel`, and those of the vertex."""
+    result = StartNumbers()
+    result.pixel = shifted_2d_bits(key, index, pixel)
+    result.vertex = shifted_vertex(key, index, vertex)
+    return result
+
+
+@wp.func
 def unit_pair(bits: wp.vec2ui) -> wp.vec2:
     """Both as floats in [0, 1 - 2^-24]."""
     return wp.vec2(uint_to_float(bits[0]), uint_to_float(bits[1]))
@@ -355,10 +338,13 @@ _SAMPLERS = {
         independent_vertex,
         independent_start,
     ),
+    "cranley-patterson": Sampler(
+        "cranley-patterson", shifted_1d, shifted_2d, shifted_2d_bits, shifted_vertex, shifted_start
+    ),
 }
 
 
-def make_sampler(kind: Literal["owen", "independent"] = "owen") -> Sampler:
+def make_sampler(kind: Literal["owen", "independent", "cranley-patterson"] = "owen") -> Sampler:
     """The sampler of this name. Raises ValueError for another name."""
     if kind not in _SAMPLERS:
         raise ValueError(f"unknown sampler `{kind}`: expected one of {', '.join(_SAMPLERS)}")

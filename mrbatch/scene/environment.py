@@ -18,13 +18,15 @@ import numpy as np
 
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import to_rec709
+from mrbatch.scene.environment_alias import alias_table
 from mrbatch.scene.environment_integrals import EnvironmentIntegrals
 from mrbatch.scene.environment_median_cut import MedianCut, best_cut
+from mrbatch.scene.environment_sample_map import sample_map
 from mrbatch.scene.environment_tables import EnvironmentTables, Interpolation, Rows, build_tables
 from mrbatch.scene.stored_picture import MAX_PIXELS, colour_channels, primaries_of, read_stored
 
 if TYPE_CHECKING:
-    from mrbatch.kernels.environment import EnvironmentData
+    from mrbatch.kernels.environment import EnvironmentData, LightSampler
 
 WHAT = "environment map"
 MAX_SIDE = 65000
@@ -202,6 +204,27 @@ class Environment:
         data.leaves = array(cut.leaves.reshape(-1, 4), wp.vec4)
         data.splits = array(cut.splits, wp.float32)
         return data
+
+    def provide(self, data: EnvironmentData, light_sampler: LightSampler) -> None:
+        """Uploads into `data`, which `upload` made, what this sampler alone reads, unless it is there.
+
+        The other samplers need no more than what `upload` gives.
+        """
+        import warp as wp
+
+        from mrbatch.kernels.environment_cells import AliasBucket
+
+        device = data.nodes.device
+        if light_sampler == "alias" and not data.buckets:
+            table = alias_table(self.tables())
+            record: Any = AliasBucket
+            buckets: np.ndarray = np.zeros(table.keep.size, dtype=record.numpy_dtype())
+            buckets["keep"], buckets["other"] = table.keep, table.other
+            buckets["own_density"], buckets["other_density"] = table.density, table.density[table.other]
+            data.buckets = wp.array(buckets, dtype=record, device=device)
+        if light_sampler == "sample-map" and not data.stored:
+            stored = sample_map(self.tables(), self.height, self.width)
+            data.stored = wp.array(stored, dtype=wp.vec4, device=device)
 
 
 def _check_values(radiance: np.ndarray, place: Place | None) -> None:

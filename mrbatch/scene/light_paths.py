@@ -25,6 +25,7 @@ from mrbatch.kernels.numerics import (
     to_world,
 )
 from mrbatch.kernels.rng import VertexNumbers, make_sampler, unit_pair
+from mrbatch.scene.light_candidates import make_light_direction
 from mrbatch.scene.media import Media, crossed, enters, index_of, medium_of, passed
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import RECEIVE, SceneData, SurfacePoint, surface_point
@@ -59,6 +60,8 @@ class PathFlags:
     shading: ShadingFlags = ShadingFlags()
     several_lights: bool = False
     """More than one direction is drawn from the environment where the camera's ray ends."""
+    light_candidates: int = 1
+    """Of so many directions from the environment one is chosen."""
     ray_start: str = "exact"
     unreceptive: bool = False
     """Some object takes no light change from virtual objects."""
@@ -113,8 +116,9 @@ class PathFuncs:
     `path(scene, photo, numbers, among, start, direction, edges, key, index) -> Leg`: the radiance that
     leaves `start` against `direction`, traced among the objects of the ray set `among`; `edges`: those of
     the path from the camera to `start`. `lights_at(numbers, edges)`: directions drawn from the
-    environment at a vertex; `light_bits(drawn, key, index, number, count, dimension)`: the random numbers of
-    one of them, given those of the vertex. `light_weight(count, light_pdf, scatter_pdf)`: its weight;
+    environment at a vertex; `light_direction(environment, surface, basis, wo, ng, drawn, key, index, number,
+    count, dimension)`: one of them (`scene.light_candidates`), `drawn` being the numbers of the vertex.
+    `light_weight(count, light_pdf, scatter_pdf)`: its weight;
     `scatter_weight(scatter_pdf, count, light_pdf)`: of the scattered direction. `survival(throughput,
     edges, numbers)`: how probably the path goes on. `sample_light`: directions are drawn from the
     environment at all.
@@ -122,7 +126,7 @@ class PathFuncs:
 
     path: Any
     lights_at: Any
-    light_bits: Any
+    light_direction: Any
     light_weight: Any
     scatter_weight: Any
     survival: Any
@@ -152,7 +156,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     @wp.func
     def light_weight(count: int, light_pdf: float, scatter_pdf: float) -> float:
         # Weight of one of `count` directions drawn from the environment.
-        n = float(count)
+        n = float(count * wp.static(flags.light_candidates))
         if wp.static(weigh):
             return balance_heuristic_counts(n, light_pdf, 1.0, scatter_pdf) / n
         return 1.0 / n
@@ -160,7 +164,8 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     @wp.func
     def scatter_weight(scatter_pdf: float, count: int, light_pdf: float) -> float:
         if wp.static(weigh):
-            return balance_heuristic_counts(1.0, scatter_pdf, float(count), light_pdf)
+            n = float(count * wp.static(flags.light_candidates))
+            return balance_heuristic_counts(1.0, scatter_pdf, n, light_pdf)
         return wp.where(wp.static(sample_light), 0.0, 1.0)
 
     @wp.func
@@ -174,9 +179,20 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     def light_bits(
         drawn: VertexNumbers, key: wp.uint64, index: int, number: int, count: int, dimension: int
     ) -> wp.vec2ui:
-        if wp.static(flags.several_lights):
+        if wp.static(flags.several_lights or flags.light_candidates > 1):
             return sample_2d_bits(key, index * count + number, dimension)
         return drawn.light
+
+    light_direction = make_light_direction(
+        flags.light_candidates,
+        env_sample=env_sample,
+        evaluate=bsdf_evaluate,
+        scatter_pdf=bsdf_pdf,
+        light_bits=light_bits,
+        light_weight=light_weight,
+        sample_1d=sample_1d,
+        transmission=flags.shading.transmission,
+    )
 
     @wp.func
     def survival(throughput: wp.vec3, edges: int, numbers: PathNumbers) -> float:
@@ -262,8 +278,19 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
             if wp.static(sample_light):
                 for number in range(lights):
-                    bits = light_bits(numbers_here, key, index, number, lights, dimension)
-                    light = env_sample(scene.environment, bits)
+                    light = light_direction(
+                        scene.environment,
+                        surface,
+                        basis,
+                        wo,
+                        point.ng,
+                        numbers_here,
+                        key,
+                        index,
+                        number,
+                        lights,
+                        dimension,
+                    )
                     side = wp.dot(point.ng, light.direction)
                     if wp.static(flags.shading.transmission):
                         side *= wp.dot(point.ns, light.direction)
@@ -276,6 +303,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                             if not occluded(scene_set, o, light.direction, FAR):
                                 leg.lookups += 1
                                 w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
+                                w *= light.share
                                 leg.radiance += (
                                     wp.cw_mul(
                                         wp.cw_mul(throughput, value),
@@ -322,4 +350,4 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             point = surface_point(scene, hit.triangle, hit.u, hit.v, d)
         return leg
 
-    return PathFuncs(path, lights_at, light_bits, light_weight, scatter_weight, survival, sample_light)
+    return PathFuncs(path, lights_at, light_direction, light_weight, scatter_weight, survival, sample_light)

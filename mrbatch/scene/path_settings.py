@@ -20,13 +20,17 @@ class SamplingSettings(Settings):
     strategy: Literal["mis", "environment", "bsdf"] = Field(
         "mis", description="How light from the map is sampled: both ways weighted, or one of them alone"
     )
-    sampler: Literal["owen", "independent"] = Field(
-        "owen", description="Random numbers: Owen-scrambled Sobol points, or independent ones"
+    sampler: Literal["owen", "independent", "cranley-patterson"] = Field(
+        "owen",
+        description="Random numbers: Owen-scrambled Sobol points, independent ones, or Sobol points with a "
+        "random shift, for comparisons",
     )
-    light_sampler: Literal["auto", "median-cut", "cdf"] = Field(
+    light_sampler: Literal["auto", "median-cut", "cdf", "alias", "sample-map"] = Field(
         "auto",
-        description="How directions are drawn from the map: leaves of equal light found without a search, or "
-        "texel by texel from summed rows and columns; `auto`: leaves where they add no noise",
+        description="How directions are drawn from the map: leaves of equal light found without a search, "
+        "texel by texel from summed rows and columns, or the same from an alias table; `auto`: leaves where "
+        "they add no noise, else sums. `sample-map`, a fixed set of stored directions, is biased and for "
+        "comparisons only",
     )
     pixel_filter: Literal["box", "gaussian", "blackman-harris"] = Field(
         "box", description="Reconstruction filter of the virtual layers; the photo is never filtered"
@@ -57,6 +61,11 @@ class PathSettings(SamplingSettings):
     light_samples: Annotated[int, Field(ge=1, le=64)] = Field(
         1, description="Directions drawn from the map where the camera's ray ends, for each sample, 1..64"
     )
+    light_candidates: Annotated[int, Field(ge=1, le=32)] = Field(
+        1,
+        description="Directions from the map among which each one that a ray follows is chosen, by how much "
+        "of the light from there the surface would send on, 1..32; 1: no choice",
+    )
 
 
 PATH_AXES = (
@@ -70,7 +79,25 @@ PATH_AXES = (
         "light samples", "method.light_samples", (1, 2, 4, 8), "noise of direct light ~ N^-1/2", "shadow rays"
     ),
     Axis(
-        "sampler", "method.sampler", ("owen", "independent"), "slope -1/2 to -3/4 where smooth", "camera rays"
+        "light candidates",
+        "method.light_candidates",
+        (1, 2, 4, 8),
+        "noise of unshadowed light ~ N^-1/2",
+        "shadow rays",
+    ),
+    Axis(
+        "light sampler",
+        "method.light_sampler",
+        ("cdf", "median-cut", "alias", "sample-map"),
+        "time; bias of the last",
+        "shadow rays",
+    ),
+    Axis(
+        "sampler",
+        "method.sampler",
+        ("owen", "cranley-patterson", "independent"),
+        "slope -1/2 to -3/4 where smooth",
+        "camera rays",
     ),
 )
 """Settings of light paths that trade accuracy for time, and the law expected."""

@@ -173,6 +173,13 @@ class DeviceScene:
             now = upload(self.scene.at(frame), self.engine, self.device, shared=self.first)
             self.data, self.kept = now.data, now.kept
 
+    def light_sampler(self, wanted: str) -> Any:
+        """The name of the light sampler for the setting `wanted`, whose tables are then in `data`."""
+        light = self.scene.environment
+        name: Any = light.light_sampler if wanted == "auto" else wanted
+        light.provide(self.data.environment, name)
+        return name
+
 
 _TRIANGLE = TriangleData.numpy_dtype()
 

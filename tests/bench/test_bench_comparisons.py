@@ -11,6 +11,7 @@ from small_job import write_job
 
 from mrbatch.bench.__main__ import main
 from mrbatch.bench.bounces import METHODS, bounces
+from mrbatch.bench.samplers import KINDS, samplers
 from mrbatch.bench.strategies import STRATEGIES, strategies
 from mrbatch.bench.tables import as_json
 from mrbatch.bench.time_to_error import time_to_error
@@ -107,6 +108,24 @@ def test_strategies_are_compared_at_equal_samples(job):
     assert all(np.isfinite([row.rmse_real, row.rmse_virtual]).all() for row in found.rows)
 
 
+def test_samplers_are_compared_at_equal_samples(job):
+    """By light samples alone, where a sample map's fixed directions show most."""
+    settings = ["output.scale=0.5", "method.spp=512", "method.strategy=environment"]
+    found = samplers(Variants(job, settings), repeats=3, reference_spp=8192)
+    named = [(kind, value) for kind, (_, values) in KINDS.items() for value in values]
+    assert [(row.kind, row.sampler) for row in found.rows] == named
+    assert len({row.counters["camera rays"] for row in found.rows}) == 1
+    rmse = {row.sampler: row.rmse for row in found.rows}
+    assert rmse["sample-map"] > 2 * max(rmse["cdf"], rmse["alias"])
+    assert rmse["independent"] > 1.3 * rmse["owen"]
+    assert rmse["owen"] in (rmse["cdf"], rmse["median-cut"]), "numbers are compared under the job's sampler"
+    assert rmse["1"] == rmse["owen"] != rmse["8"] < 2 * rmse["1"]
+    ratio = {row.sampler: row.ratio for row in found.rows}
+    assert ratio["cdf"].value == ratio["owen"].value == 1.0 != ratio["alias"].value
+    alias = found.rows[2]
+    assert alias.cost == pytest.approx(alias.ratio.value * (rmse["alias"] / rmse["cdf"]) ** 2)
+
+
 def test_json_holds_every_number(variants):
     found = strategies(variants, repeats=3, reference_spp=64)
     told = json.loads(json.dumps(as_json(found), allow_nan=False))
@@ -119,6 +138,7 @@ def test_json_holds_every_number(variants):
     ("command", "words"),
     [
         (["bounces", "--most", "1"], ("two-pass", "one-pass", "RMSE", "look-ups", "over itself")),
+        (["samplers"], ("alias", "sample-map", "cranley-patterson", "over the first")),
         (["strategies"], ("environment", "bsdf", "on virtual")),
     ],
 )

@@ -11,6 +11,7 @@ from mrbatch.kernels import rng
 
 wp.config.quiet = True
 LAST = 1.0 - 2.0**-24
+KINDS = ("owen", "independent", "cranley-patterson")
 
 
 def make_kernels(sampler: rng.Sampler):
@@ -33,7 +34,7 @@ def make_kernels(sampler: rng.Sampler):
     return draw
 
 
-KERNELS = {kind: make_kernels(rng.make_sampler(kind)) for kind in ("owen", "independent")}
+KERNELS = {kind: make_kernels(rng.make_sampler(kind)) for kind in KINDS}
 
 
 def make_start_kernel(sampler: rng.Sampler):
@@ -59,7 +60,7 @@ def make_start_kernel(sampler: rng.Sampler):
     return draw
 
 
-START_KERNELS = {kind: make_start_kernel(rng.make_sampler(kind)) for kind in ("owen", "independent")}
+START_KERNELS = {kind: make_start_kernel(rng.make_sampler(kind)) for kind in KINDS}
 
 
 @wp.kernel(enable_backward=False)
@@ -227,11 +228,43 @@ def test_start_and_vertex_equal_the_twin_to_the_bit():
         assert [tuple(pair) for pair in row] == [pixel, light, scatter, light, scatter]
 
 
-def test_start_of_the_independent_sampler_is_its_pairs():
+@pytest.mark.parametrize("kind", ["independent", "cranley-patterson"])
+def test_start_of_the_other_samplers_is_their_pairs(kind):
     key = pixel_keys(16, 16).ravel()
-    got = (draw_start("independent", key, 5).astype(np.float64) + 0.5) * 2.0**-32
+    got = (draw_start(kind, key, 5).astype(np.float64) + 0.5) * 2.0**-32
     for column, dimension in ((0, 0), (1, 8), (2, 9), (3, 8), (4, 9)):
-        assert np.array_equal(got[:, column], draw("independent", key, 5, dimension)[2])
+        assert np.array_equal(got[:, column], draw(kind, key, 5, dimension)[2])
+
+
+def test_shifted_points_equal_the_twin_to_the_bit():
+    random = np.random.default_rng(6)
+    key = random.integers(0, 2**63, 300).astype(np.uint64) * np.uint64(2) + np.uint64(1)
+    index = np.concatenate([np.arange(150), random.integers(-(2**31), 2**31, 150)])
+    dimension = random.integers(-(2**31), 2**31, 300)
+    one, two, precise = draw("cranley-patterson", key, index, dimension)
+    twin = []
+    for k, i, d in zip(key.tolist(), index.tolist(), dimension.tolist()):
+        h = twin_mix(k + ((d & M32) + 1) * 0xD1342543DE82EF95 & M64)
+        x, y = twin_sobol(twin_scramble(i & M32, h & M32))
+        twin.append((x + (h >> 32) & M32, y + ((h * 0xD1342543DE82EF95 & M64) >> 32) & M32))
+    twin = np.array(twin)
+    assert np.array_equal(precise, (twin + 0.5) * 2.0**-32)
+    assert np.array_equal(two, ((twin >> 8) * 2.0**-24).astype(np.float32))
+    assert np.array_equal(one, two[:, 0])
+    assert two.max() <= LAST
+
+
+def test_shifted_points_are_one_set_of_points_on_a_torus():
+    """The first 2^k differ from Sobol's by one shift: their differences are multiples of 2^-k, exactly."""
+    key = pixel_keys(8, 8).ravel()[:, None]
+    for k in (0, 3, 6, 10):
+        bits = np.floor(draw("cranley-patterson", key, np.arange(1 << k), 5)[2] * 2.0**32).astype(np.int64)
+        step = np.sort((bits - bits[:, :1]) % (1 << 32), axis=1)
+        wanted = np.arange(1 << k)[:, None] << (32 - k)
+        assert np.array_equal(step, np.broadcast_to(wanted, step.shape))
+    shifts = draw("cranley-patterson", pixel_keys(64, 64).ravel(), 0, 5)[2]
+    assert stats.kstest(shifts[:, 0], "uniform").pvalue > 1e-4
+    assert stats.kstest(shifts[:, 1], "uniform").pvalue > 1e-4
 
 
 def test_both_pairs_of_a_vertex_are_nets_and_independent_of_each_other():
@@ -305,13 +338,14 @@ def test_later_blocks_are_nets_too():
 
 def test_cranley_patterson_breaks_the_net():
     """TRAP-2g: shifted Sobol points leave half of the 8x8 cells with another count than one."""
-    points = stats.qmc.Sobol(2, scramble=False).random(64)
-    wrong = []
-    for shift in np.random.default_rng(0).random((200, 2)):
-        cell = np.floor((points + shift) % 1.0 * 8).astype(int)
-        count = np.bincount(cell[:, 0] * 8 + cell[:, 1], minlength=64)
-        wrong.append((count != 1).mean())
-    assert 0.3 < np.mean(wrong) < 0.7
+    key = pixel_keys(20, 10).ravel()[:, None]
+    wrong = {}
+    for kind in KINDS:
+        points = draw(kind, key, np.arange(64), 3)[1]
+        cell = (np.floor(points * 8) @ [8, 1]).astype(int)
+        wrong[kind] = np.mean([(np.bincount(row, minlength=64) != 1).mean() for row in cell])
+    assert wrong["owen"] == 0.0
+    assert 0.3 < wrong["cranley-patterson"] < 0.6 < wrong["independent"]
 
 
 def half_products(pairs):
@@ -322,8 +356,9 @@ def half_products(pairs):
 def test_pairs_are_independent_of_each_other():
     """TRAP-2f: shifted copies of one sequence converge to a wrong value in every pixel."""
     key = pixel_keys(8, 8).ravel()[:, None]
-    pairs = [draw("owen", key, np.arange(4096), d)[1] for d in (2, 11)]
-    assert np.abs(half_products(pairs) - 0.25).max() < 0.02
+    for kind in ("owen", "cranley-patterson"):
+        pairs = [draw(kind, key, np.arange(4096), d)[1] for d in (2, 11)]
+        assert np.abs(half_products(pairs) - 0.25).max() < 0.02
     for n in (64, 4096):
         points = stats.qmc.Sobol(2, scramble=False).random(n)
         shift = np.random.default_rng(1).random((2, 64, 1, 2))
@@ -331,20 +366,20 @@ def test_pairs_are_independent_of_each_other():
         assert 0.10 < printed.std() < 0.20, "no number of samples helps the printed form"
 
 
-@pytest.mark.parametrize("kind", ["owen", "independent"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_padding_of_64_dimensions(kind):
     """RNG-05: mean of 4 u v is 1 for u, v of any two dimensions, within 4 standard errors of MC."""
     key = pixel_keys(1, 1, x0=17, y0=-5).ravel()[:, None]
     _, two, _ = draw(kind, key, np.arange(4096), np.arange(64)[:, None])
     x = two.reshape(64, 4096, 2).transpose(0, 2, 1).reshape(128, 4096).astype(np.float64)
     products = 4.0 * (x @ x.T) / 4096
-    # u and v of one owen pair are a net and do better still; a dimension with itself gives 4/3.
+    # u and v of one Sobol pair are a net and do better still; a dimension with itself gives 4/3.
     off = ~np.eye(128, dtype=bool)
     # One standard error of random numbers is 0.0138; of their 8128 pairs the worst needs five.
     assert np.abs(products[off] - 1.0).max() < (0.055 if kind == "owen" else 0.070)
 
 
-@pytest.mark.parametrize("kind", ["owen", "independent"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("index", "dimension"), [(0, 0), (1, 0), (37, 5), (4095, 1000003)])
 def test_one_sample_is_uniform_over_pixels(kind, index, dimension):
     key = pixel_keys(512, 512, seed=7, x0=-40, y0=-40).ravel()
@@ -357,7 +392,7 @@ def test_one_sample_is_uniform_over_pixels(kind, index, dimension):
     assert stats.chisquare(np.bincount(low, minlength=256)).pvalue > 1e-4
 
 
-@pytest.mark.parametrize("kind", ["owen", "independent"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_two_dimensions_of_one_pixel_are_jointly_uniform(kind):
     key = pixel_keys(512, 512, seed=8).ravel()
     for d in ((0, 1), (3, 11), (8, 16)):
@@ -366,7 +401,7 @@ def test_two_dimensions_of_one_pixel_are_jointly_uniform(kind):
         assert stats.chisquare(count.ravel()).pvalue > 1e-4
 
 
-@pytest.mark.parametrize("kind", ["owen", "independent"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_neighbours_in_pixels_frames_and_views_are_uncorrelated(kind):
     """RNG-02: lags 1 to 8; correlation within 4 / sqrt(n), of samples and of pixel means."""
     side = 256
@@ -416,7 +451,7 @@ def test_keys_do_not_collide_and_every_bit_counts():
             assert abs(flips - 0.5) < 4.0 * 0.5 / np.sqrt(200 * 64)
 
 
-@pytest.mark.parametrize("kind", ["owen", "independent"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_no_repeat_far_out(kind):
     """RNG-07: there is no table to run past; dimensions and counters up to 2^32 give fresh pairs."""
     key = pixel_keys(1, 1).ravel()
@@ -428,8 +463,9 @@ def test_no_repeat_far_out(kind):
     assert np.unique(pairs[:, 0] + 1j * pairs[:, 1]).size == index.size
 
 
-def test_owen_beats_random_numbers_on_a_smooth_function():
-    """xy at n = 64 over 1024 pixels: standard error 0.0275 for random numbers, about 0.001 for Owen."""
+def test_owen_beats_shifts_and_random_numbers_on_a_smooth_function():
+    """xy at n = 64 over 1024 pixels: standard error 0.0275 for random numbers, 0.0067 for shifts, about 0.001
+    for Owen."""
     key = pixel_keys(32, 32, seed=5).ravel()[:, None]
     rmse = {}
     for kind in KERNELS:
@@ -439,8 +475,9 @@ def test_owen_beats_random_numbers_on_a_smooth_function():
         assert abs(error.mean()) < 4.0 * error.std() / np.sqrt(error.size), "no bias"
     assert abs(rmse["independent"] / 0.0275 - 1.0) < 0.15
     assert rmse["owen"] < 0.0015
+    assert abs(rmse["cranley-patterson"] / 0.0067 - 1.0) < 0.15
 
 
 def test_unknown_sampler_is_refused():
-    with pytest.raises(ValueError, match="owen, independent"):
+    with pytest.raises(ValueError, match="owen, independent, cranley-patterson"):
         rng.make_sampler("halton")

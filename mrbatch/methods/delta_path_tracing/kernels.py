@@ -86,7 +86,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     camera_ray = camera.ray
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
-    env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
+    env_radiance, env_pdf = environment.radiance, environment.pdf
     prefetch = environment.prefetch
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_1d = sampler.sample_1d
@@ -95,7 +95,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     funcs = make_surface(flags.shading, camera)
     bare_at, reflectance_at, surface_at = funcs.bare, funcs.reflectance, funcs.surface
     paths = make_paths(flags)
-    path, lights_at, light_bits = paths.path, paths.lights_at, paths.light_bits
+    path, lights_at, light_direction = paths.path, paths.lights_at, paths.light_direction
     survival = paths.survival
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
@@ -199,8 +199,19 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
                             if wp.static(sample_light):
                                 for number in range(lights):
-                                    bits = light_bits(numbers_here, key, index, number, lights, dimension)
-                                    light = env_sample(scene.environment, bits)
+                                    light = light_direction(
+                                        scene.environment,
+                                        surface,
+                                        basis,
+                                        wo,
+                                        point.ng,
+                                        numbers_here,
+                                        key,
+                                        index,
+                                        number,
+                                        lights,
+                                        dimension,
+                                    )
                                     if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                                         wi = to_local(basis, light.direction)
                                         f = bsdf_evaluate(surface, wo, wi)
@@ -219,6 +230,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                                 changes = bool(True)
                                                 w = (
                                                     light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi))
+                                                    * light.share
                                                     / light.pdf
                                                 )
                                                 f = tinted(scene, frame.photo, point, f)

@@ -9,6 +9,10 @@ AXES = (
         "strategy", "method.strategy", ("mis", "environment", "bsdf"), "variance by lobe and map", "lookups"
     ),
     Axis(
-        "sampler", "method.sampler", ("owen", "independent"), "slope -1/2 to -3/4 where smooth", "camera rays"
+        "sampler",
+        "method.sampler",
+        ("owen", "cranley-patterson", "independent"),
+        "slope -1/2 to -3/4 where smooth",
+        "camera rays",
     ),
 )

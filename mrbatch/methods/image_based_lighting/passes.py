@@ -36,9 +36,7 @@ def make_flags(
         distortion=view.distortion and plan.on("lens-distortion"),
         interpolation=scene.scene.environment.interpolation,
         sampler=settings.sampler,
-        light_sampler=scene.scene.environment.light_sampler
-        if settings.light_sampler == "auto"
-        else settings.light_sampler,
+        light_sampler=scene.light_sampler(settings.light_sampler),
         pixel_filter=settings.pixel_filter,
         strategy=settings.strategy,
         shading=ShadingFlags(

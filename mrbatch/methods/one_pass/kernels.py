@@ -52,14 +52,14 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     camera_ray = camera.ray
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
-    env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
+    env_radiance, env_pdf = environment.radiance, environment.pdf
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_1d, sample_vertex, sample_start = sampler.sample_1d, sampler.sample_vertex, sampler.sample_start
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at = surfaces.surface, surfaces.normal
     paths = make_paths(flags)
-    path, lights_at, light_bits = paths.path, paths.lights_at, paths.light_bits
+    path, lights_at, light_direction = paths.path, paths.lights_at, paths.light_direction
     survival = paths.survival
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
@@ -105,8 +105,19 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
             if wp.static(sample_light):
                 for number in range(lights):
-                    bits = light_bits(numbers_here, key, index, number, lights, dimension)
-                    light = env_sample(scene.environment, bits)
+                    light = light_direction(
+                        scene.environment,
+                        surface,
+                        basis,
+                        wo,
+                        point.ng,
+                        numbers_here,
+                        key,
+                        index,
+                        number,
+                        lights,
+                        dimension,
+                    )
                     if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
                         wi = to_local(basis, light.direction)
                         f = bsdf_evaluate(surface, wo, wi)
@@ -122,6 +133,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                             if real_open:
                                 leg.lookups += 1
                                 w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
+                                w *= light.share
                                 arriving = (
                                     wp.cw_mul(
                                         wp.cw_mul(throughput, f),
