@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from mrbatch.capture.marker_video import KIND
 from mrbatch.capture.marker_video.capture import MarkerVideoCapture
 from mrbatch.capture.marker_video.gain import load_gains
-from mrbatch.capture.marker_video.pose import FramePose
+from mrbatch.capture.marker_video.pose_table import FramePose
 from mrbatch.capture.marker_video.settings import MarkerVideoSettings
 from mrbatch.errors import InputError
 

@@ -10,9 +10,11 @@ import pytest
 from rendered_marker import board_page, errors, look_at, marker_page, photograph, render
 
 from mrbatch.capture.marker_video.calibration import make_calibration
+from mrbatch.capture.marker_video.lost_frames import fill_lost, interpolate
 from mrbatch.capture.marker_video.markers import Detection, marker_corners, opencv_board
-from mrbatch.capture.marker_video.pose import FramePose, _table, fill_lost, interpolate, solve_poses
+from mrbatch.capture.marker_video.pose import _table, solve_poses
 from mrbatch.capture.marker_video.pose_solver import pose_covariance, project, solve
+from mrbatch.capture.marker_video.pose_table import FramePose
 from mrbatch.capture.marker_video.tag_layout import estimate_layout, place
 from mrbatch.capture.marker_video.target_settings import TagsSettings, TargetSettings
 from mrbatch.errors import InputError

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mrbatch.capture.marker_video.capture import grey_codes_of
 from mrbatch.capture.marker_video.markers import TargetDetector, other_dictionaries
 from mrbatch.capture.marker_video.sequence import PICTURE_SUFFIXES
 from mrbatch.capture.marker_video.settings import ColourSettings
+from mrbatch.capture.marker_video.shot_poses import grey_codes_of
 from mrbatch.capture.marker_video.target_settings import TargetSettings
 from mrbatch.capture.marker_video.video import VideoReader, build_frame_table
 from mrbatch.errors import InputError, Place

@@ -6,7 +6,7 @@ that a frame is a pure function of settings, number and table on any machine.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -18,18 +18,14 @@ from mrbatch.capture.marker_video.calibration import Calibration, load_calibrati
 from mrbatch.capture.marker_video.footage import Footage, open_footage
 from mrbatch.capture.marker_video.gain import Gain, load_gains, patch_gain
 from mrbatch.capture.marker_video.matte import Mattes
-from mrbatch.capture.marker_video.pose_file import load_poses
 from mrbatch.capture.marker_video.settings import CameraSettings, MarkerVideoSettings
+from mrbatch.capture.marker_video.shot_poses import SolvePoses, check_size, find_poses
 from mrbatch.contracts import Progress
 from mrbatch.errors import InputError, Place
-from mrbatch.kernels.transfer import from_linear
 from mrbatch.scene.camera import Camera
 
 VIEW = ""
 """Name of the one view of a mono capture."""
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
-SolvePoses = Callable[..., Any]
-"""`mrbatch.capture.marker_video.pose.solve_poses` or a stand-in for it."""
 
 
 def read_calibration(settings: CameraSettings) -> Calibration:
@@ -44,13 +40,6 @@ def read_calibration(settings: CameraSettings) -> Calibration:
         pixel_centres=settings.pixel_centres or "integer",
         source="capture.camera",
     )
-
-
-def grey_codes_of(linear: np.ndarray, floating: bool) -> np.ndarray:
-    """(height, width) luminance for finding markers: 16-bit sRGB codes, or linear floats as they are."""
-    r, g, b = (linear[..., c] * _LUMINANCE[c] for c in range(3))
-    luminance = r + g + b
-    return luminance if floating else from_linear(luminance, "srgb", 16)
 
 
 def no_progress(step: str, done: int, total: int, detail: str = "") -> None:
@@ -144,7 +133,9 @@ class MarkerVideoCapture:
         if missing:
             notes.append(f"missing in the footage: {_listed(missing)}")
         broken: dict[int, str] = {}
-        rows, report = self._poses(footage, numbers, about, calibration, broken, progress)
+        rows, report = find_poses(
+            self.settings, footage, numbers, about, calibration, broken, progress, solve=self._solve
+        )
         place_marker = self.settings.world_from_marker.array()
         poses, flags = {}, {}
         for row in rows:
@@ -209,79 +200,6 @@ class MarkerVideoCapture:
             if (n - numbers[0]) % subset.step == 0:
                 found.append(n)
         return found
-
-    def _poses(
-        self,
-        footage: Footage,
-        numbers: tuple[int, ...],
-        about: Mapping[str, Any],
-        calibration: Calibration,
-        broken: dict[int, str],
-        progress: Progress,
-    ) -> tuple[Sequence[Any], dict[str, Any]]:
-        """Rows of `FramePose` and what a report says of them; fills `broken`."""
-        from mrbatch.capture.marker_video.pose import FramePose, fill_lost, solve_poses
-
-        if self.settings.poses is not None:
-            given = load_poses(self.settings.poses)
-            rows = [
-                FramePose(n, float(footage.time(n)), given.get(n), flags=() if n in given else ("lost",))
-                for n in numbers
-            ]
-            if not any(n in given for n in numbers):
-                raise InputError(
-                    f"no frame of {numbers[0]} to {numbers[-1]} has a pose in the file, which has "
-                    f"{min(given)} to {max(given)}",
-                    place=Place(file=str(self.settings.poses)),
-                    hint="poses carry the numbers of the shot's frames; `start_frame` renumbers the frames",
-                )
-            return fill_lost(rows, self.settings.lost), {"source": "file"}
-
-        def pictures() -> Iterator[tuple[int, float, Callable[[], np.ndarray]]]:
-            for number in numbers:
-                try:
-                    linear = footage.picture(number, about).linear
-                    _check_size(linear, about, footage.paths((number,))[0], number)
-                except InputError as error:
-                    broken[number] = error.message
-                    continue
-                grey = grey_codes_of(linear, about["float"])
-                yield number, float(footage.time(number)), lambda grey=grey: grey
-
-        seen: list[bool] = []
-
-        def looked(number: int, found: bool) -> None:
-            seen.append(found)
-            detail = f"seen in {sum(seen)}"
-            progress("looking for the target", len(seen) + len(broken), len(numbers), detail)
-
-        solve = self._solve or solve_poses
-        target, lost = self.settings.target, self.settings.lost
-        try:
-            found = solve(pictures(), calibration, target, lost=lost, progress=looked)
-        except InputError:
-            if len(broken) == len(numbers):
-                raise InputError(
-                    f"none of the {len(numbers)} frames can be read: {broken[numbers[0]]}",
-                    place=Place(frame=numbers[0]),
-                ) from None
-            raise
-        rows_json = found.as_json()
-        place_marker = self.settings.world_from_marker.array()
-        for row in rows_json:
-            row.pop("world_from_camera", None)
-            other = row.get("other_root")
-            if other is not None:
-                other["world_from_camera"] = (place_marker @ np.array(other["world_from_camera"])).tolist()
-        layout = found.layout or {}
-        report = {
-            "source": "target",
-            "median_rms_px": found.median_rms,
-            "noise": found.noise,
-            "layout": {str(i): np.asarray(m).tolist() for i, m in layout.items()},
-            "frames": rows_json,
-        }
-        return found.frames, report
 
     def _gains(
         self, footage: Footage, frames: Sequence[int], about: Mapping[str, Any], broken: dict[int, str]
@@ -352,7 +270,7 @@ class MarkerVideoCapture:
         view = self.geometry(number, table)[VIEW]
         footage, about = self._opened(table), table["footage"]
         picture = footage.picture(number, about)
-        _check_size(picture.linear, about, footage.paths((number,))[0], number)
+        check_size(picture.linear, about, footage.paths((number,))[0], number)
         matte = None
         if self._mattes is not None:
             matte = self._mattes.read(number, about["width"], about["height"])
@@ -372,15 +290,6 @@ def _ceiling(colour: Mapping[str, Any]) -> float:
     from mrbatch.kernels.transfer import decode_table
 
     return float(np.float32(decode_table(colour["transfer"], 8)[-1])) * (1.0 - 1e-3)
-
-
-def _check_size(linear: np.ndarray, about: Mapping[str, Any], path: Path, number: int) -> None:
-    height, width = linear.shape[:2]
-    if (width, height) != (about["width"], about["height"]):
-        raise InputError(
-            f"the frame is {width}x{height}, the others are {about['width']}x{about['height']}",
-            place=Place(file=str(path), frame=number),
-        )
 
 
 def _absolute(value: Any, folder: Path) -> Any:

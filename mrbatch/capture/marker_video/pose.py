@@ -8,12 +8,12 @@ least (Viterbi). Frames without a pose are treated as the job says.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
 
 import numpy as np
 
 from mrbatch.capture.marker_video.calibration import Calibration
+from mrbatch.capture.marker_video.lost_frames import LostPolicy, fill_lost
 from mrbatch.capture.marker_video.markers import (
     Detection,
     TargetDetector,
@@ -21,11 +21,10 @@ from mrbatch.capture.marker_video.markers import (
     srgb_to_linear,
 )
 from mrbatch.capture.marker_video.pose_solver import Root, angle_between, pose_covariance, solve
+from mrbatch.capture.marker_video.pose_table import FramePose, PoseTable
 from mrbatch.capture.marker_video.tag_layout import estimate_layout, place
 from mrbatch.capture.marker_video.target_settings import TargetSettings
 from mrbatch.errors import InputError, Place
-
-LostPolicy = Literal["stop", "skip", "hold-last", "interpolate"]
 
 AMBIGUOUS_RATIO = 2.0
 """Two roots whose rms differ by less than this factor are not told apart by one picture."""
@@ -39,98 +38,6 @@ _JUMP_CAP = 16.0
 """What the largest jump may cost, in units of chi^2 (four sigma): cuts and stills stay possible."""
 _SEEN_FRAMES = 5
 """How many frames are searched for other dictionaries when the target is never seen."""
-
-
-@dataclass(frozen=True)
-class FramePose:
-    """The pose of one frame.
-
-    `world_from_camera` (4, 4) float64 metres, None where the frame has no usable pose. `roots`: all
-    poses that explain the picture, best first; `chosen` indexes them (None: lost). `rms`: reprojection
-    error in pixels of the chosen root. `covariance` (6, 6): rotation about the camera's axes
-    (radians), then its place in the world (metres); None where the pose was not measured here.
-    `flags`: `lost` (nothing usable was seen), `ambiguous` (two roots not told apart; refused),
-    `held`, `interpolated`, `poor-fit` (used, but the print is bent or the calibration off). `points`:
-    how many points were seen. `repaired`: ids whose wrong bits were corrected. `fault`: why the picture
-    cannot be used at all, such as a marker that is seen twice; such a frame is no lost one.
-    """
-
-    number: int
-    time: float
-    world_from_camera: np.ndarray | None
-    roots: tuple[Root, ...] = ()
-    chosen: int | None = None
-    rms: float | None = None
-    covariance: np.ndarray | None = None
-    flags: tuple[str, ...] = ()
-    points: int = 0
-    repaired: tuple[int, ...] = ()
-    fault: str | None = None
-
-    @property
-    def other(self) -> Root | None:
-        """The root that was not chosen, where there are two."""
-        if self.chosen is None or len(self.roots) < 2:
-            return None
-        return self.roots[1 - self.chosen]
-
-    @property
-    def ratio(self) -> float:
-        """rms of the second root over the first's; infinite where there is one root only."""
-        if len(self.roots) < 2:
-            return float("inf")
-        return self.roots[1].rms / max(self.roots[0].rms, 1e-12)
-
-
-@dataclass(frozen=True)
-class PoseTable:
-    """Poses of a shot, one row a frame in the order given.
-
-    `median_rms`: median reprojection error in pixels of the measured frames. `noise`: standard deviation of
-    detected points relative to what their covariance says. `layout`: world_from_tag (4, 4) by
-    id where it was estimated.
-    """
-
-    frames: tuple[FramePose, ...]
-    median_rms: float
-    noise: float
-    layout: dict[int, np.ndarray] | None = None
-
-    def poses(self) -> dict[int, np.ndarray]:
-        """Frame number to world_from_camera of every frame that has one."""
-        return {f.number: f.world_from_camera for f in self.frames if f.world_from_camera is not None}
-
-    def row(self, number: int) -> FramePose:
-        """The row of one frame. Raises KeyError where there is none."""
-        for frame in self.frames:
-            if frame.number == number:
-                return frame
-        raise KeyError(number)
-
-    def as_json(self) -> list[dict[str, Any]]:
-        """One mapping a frame, ready for JSON (`load_poses` reads such a list where no pose is null)."""
-        return [
-            {
-                "frame": f.number,
-                "time": f.time,
-                "world_from_camera": None if f.world_from_camera is None else f.world_from_camera.tolist(),
-                "rms_px": f.rms,
-                "points": f.points,
-                "roots_rms_px": [root.rms for root in f.roots],
-                "other_root": None
-                if f.other is None
-                else {"world_from_camera": f.other.world_from_camera.tolist(), "rms_px": f.other.rms},
-                "sigma_deg": _degrees(f.covariance),
-                "sigma_m": None if f.covariance is None else float(np.sqrt(np.trace(f.covariance[3:, 3:]))),
-                "repaired_ids": list(f.repaired),
-                "flags": list(f.flags),
-            }
-            for f in self.frames
-        ]
-
-
-def _degrees(covariance: np.ndarray | None) -> float | None:
-    return None if covariance is None else float(np.degrees(np.sqrt(np.trace(covariance[:3, :3]))))
 
 
 def solve_poses(
@@ -341,51 +248,3 @@ def _jump(a: Root, b: Root) -> float:
     distance = 0.5 * float(np.linalg.norm(p[:3, 3]) + np.linalg.norm(q[:3, 3]))
     shift = float(np.linalg.norm(p[:3, 3] - q[:3, 3]))
     return angle_between(p, q) + shift / max(distance, 1e-12)
-
-
-def fill_lost(rows: list[FramePose], lost: LostPolicy) -> list[FramePose]:
-    """Frames without a pose, treated by the policy."""
-    missing = [row for row in rows if row.world_from_camera is None]
-    if not missing or lost == "skip":
-        return rows
-    if lost == "stop":
-        numbers = ", ".join(f"{row.number} ({row.flags[0]})" for row in missing[:10])
-        more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
-        raise InputError(
-            f"no pose for {len(missing)} of {len(rows)} frames: {numbers}{more}",
-            place=Place(frame=missing[0].number),
-            hint="set `lost` to skip, hold-last or interpolate, or leave these frames out",
-        )
-    known = [i for i, row in enumerate(rows) if row.world_from_camera is not None]
-    filled = list(rows)
-    for i, row in enumerate(rows):
-        if row.world_from_camera is not None:
-            continue
-        pose: np.ndarray | None
-        before = max((k for k in known if k < i), default=None)
-        after = min((k for k in known if k > i), default=None)
-        if lost == "interpolate" and before is not None and after is not None:
-            pose, flag = interpolate(rows[before], rows[after], row.time), "interpolated"
-        elif before is not None:
-            pose, flag = rows[before].world_from_camera, "held"
-        elif lost == "interpolate" and after is not None:
-            pose, flag = rows[after].world_from_camera, "held"
-        else:
-            continue
-        filled[i] = replace(row, world_from_camera=pose, covariance=None, flags=(*row.flags, flag))
-    return filled
-
-
-def interpolate(before: FramePose, after: FramePose, time: float) -> np.ndarray:
-    """(4, 4) pose between two frames: rotation along the shortest arc, place along the line, by time."""
-    from scipy.spatial.transform import Rotation, Slerp
-
-    a, b = before.world_from_camera, after.world_from_camera
-    assert a is not None and b is not None
-    span = after.time - before.time
-    share = (time - before.time) / span if span > 0 else 0.5
-    pose = np.eye(4)
-    turns = Rotation.from_matrix(np.stack([a[:3, :3], b[:3, :3]]))
-    pose[:3, :3] = Slerp([0.0, 1.0], turns)([share]).as_matrix()[0]
-    pose[:3, 3] = (1.0 - share) * a[:3, 3] + share * b[:3, 3]
-    return pose
