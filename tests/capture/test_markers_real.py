@@ -25,8 +25,9 @@ def _frames(paths):
     ]
 
 
+@pytest.mark.parametrize("smoothing", [None, 2])
 @pytest.mark.parametrize("name", ["mitsuba_desk_window", "mitsuba_desk_lamps"])
-def test_desk_poses_from_the_marker_alone(shared_data, name):
+def test_desk_poses_from_the_marker_alone(shared_data, name, smoothing):
     folder = shared_data / "markers" / name
     scene = json.loads((folder / "scene.json").read_text())
     marker = scene["marker"]
@@ -41,7 +42,9 @@ def test_desk_poses_from_the_marker_alone(shared_data, name):
     )
     # the scene counts pixel centres at half integers: its principal point is the picture's middle
     calibration = load_calibration(folder / "scene.json", pixel_centres="half")
-    table = solve_poses(_frames(sorted(folder.glob("photo_0*.png"))), calibration, target)
+    table = solve_poses(
+        _frames(sorted(folder.glob("photo_0*.png"))), calibration, target, smoothing=smoothing
+    )
     truth = load_poses(folder / "scene.json")
     angles, shares = [], []
     for row in table.frames:

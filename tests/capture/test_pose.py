@@ -362,3 +362,15 @@ def test_origin_never_seen():
     with pytest.raises(InputError, match="origin tag 77") as caught:
         estimate_layout(looked, FAR, settings)
     assert "2, 4, 9, 30" in caught.value.hint
+
+
+def test_smoothed_poses_of_a_rendered_shot(gap_shot):
+    before = solve_poses(gap_shot, CALIBRATION, MARKER, lost="interpolate")
+    table = solve_poses(gap_shot, CALIBRATION, MARKER, lost="interpolate", smoothing=2)
+    assert before.smoothing is None and table.smoothing["segments"] == [100]
+    for i, (row, pose) in enumerate(zip(table.frames, PATH, strict=True)):
+        angle, distance = errors(row.world_from_camera, pose)
+        assert angle < 0.3 and distance < 0.005 * 0.25
+        assert row.flags == (("lost", "interpolated") if i in (3, 4, 5) else ())
+    # moved no farther than the noise of the corners lets it
+    assert table.median_rms < before.median_rms + 0.05

@@ -20,6 +20,7 @@ from mrbatch.capture.marker_video.gain import Gain, load_gains, patch_gain
 from mrbatch.capture.marker_video.matte import Mattes
 from mrbatch.capture.marker_video.settings import CameraSettings, MarkerVideoSettings
 from mrbatch.capture.marker_video.shot_poses import SolvePoses, check_size, find_poses
+from mrbatch.capture.marker_video.told import smoothing_notes
 from mrbatch.contracts import Progress
 from mrbatch.errors import InputError, Place
 from mrbatch.scene.camera import Camera
@@ -162,6 +163,8 @@ class MarkerVideoCapture:
                 f"the target is seen in {seen} of {len(numbers)} frames, "
                 f"median reprojection error {report['median_rms_px']:.2f} px"
             )
+        if "smoothing" in report:
+            notes += smoothing_notes(report["smoothing"])
         absent = {n: "the footage has no such frame" for n in missing}
         absent |= {n: "the frame has no camera pose: the target was not found in it" for n in skipped}
         self._posed = tuple(frames)

@@ -20,7 +20,14 @@ from mrbatch.capture.marker_video.markers import (
     other_dictionaries,
     srgb_to_linear,
 )
-from mrbatch.capture.marker_video.pose_solver import Root, angle_between, pose_covariance, solve
+from mrbatch.capture.marker_video.pose_smoothing import smooth_poses
+from mrbatch.capture.marker_video.pose_solver import (
+    Root,
+    angle_between,
+    pose_covariance,
+    reprojection_rms,
+    solve,
+)
 from mrbatch.capture.marker_video.pose_table import FramePose, PoseTable
 from mrbatch.capture.marker_video.tag_layout import estimate_layout, place
 from mrbatch.capture.marker_video.target_settings import TargetSettings
@@ -46,6 +53,7 @@ def solve_poses(
     target: TargetSettings,
     *,
     lost: LostPolicy = "stop",
+    smoothing: int | None = None,
     transfer: Callable[[np.ndarray], np.ndarray] = srgb_to_linear,
     progress: Callable[[int, bool], None] | None = None,
 ) -> PoseTable:
@@ -54,8 +62,9 @@ def solve_poses(
     `frames`: number, time in seconds, and a call that gives the grey picture (height, width), as uint8
     or uint16 codes of `transfer` or as linear floats; pictures are asked for one at a time. `lost`: what
     happens to frames without a usable pose: `stop` (error), `skip` (no pose), `hold-last` (the pose
-    before), `interpolate` (between the neighbours; held at the ends). `progress` is called with each
-    frame number done and whether the target is seen in it.
+    before), `interpolate` (between the neighbours; held at the ends). `smoothing`: order of the model of
+    motion by which poses are smoothed (`pose_smoothing`). `progress` is called with each frame number done
+    and whether the target is seen in it.
 
     A frame in which a marker is seen twice gets a row with its `fault` and no pose. Raises InputError: the
     target is never seen (the hint names dictionaries that do see markers), or only in frames with a fault;
@@ -89,7 +98,7 @@ def solve_poses(
     if target.tags and target.tags.layout is None:
         layout = estimate_layout([(n, d) for n, _, d in whole], calibration, target.tags)
         whole = [(n, t, place(d, layout)) for n, t, d in whole]
-    table = _table(whole, calibration, lost, layout)
+    table = _table(whole, calibration, lost, layout, smoothing)
     rows = {row.number: row for row in table.frames}
     for number, time, detection in looked:
         if number in faults:
@@ -127,6 +136,7 @@ def _table(
     calibration: Calibration,
     lost: LostPolicy,
     layout: dict[int, np.ndarray] | None,
+    smoothing: int | None = None,
 ) -> PoseTable:
     roots = [_usable(solve(d, calibration), d) for _, _, d in looked]
     noise2, own = _noise([d for _, _, d in looked], roots)
@@ -147,6 +157,16 @@ def _table(
             covariance=own[i] * pose_covariance(root, looked[i][2], calibration),
             flags=_flags(root, looked[i][2], doubtful),
         )
+    report = None
+    if smoothing is not None:
+        smoothed = smooth_poses(rows, order=smoothing, fill=lost == "interpolate")
+        report = smoothed.as_json()
+        rows = [
+            replace(row, rms=reprojection_rms(row.world_from_camera, detection, calibration))
+            if row.number in smoothed.shifts and row.world_from_camera is not None
+            else row
+            for row, (_, _, detection) in zip(smoothed.rows, looked, strict=True)
+        ]
     good = [row.rms for row in rows if row.world_from_camera is not None and row.rms is not None]
     if not good:
         raise InputError(
@@ -157,7 +177,7 @@ def _table(
             else "check the target's size, layout and the calibration",
         )
     rows = fill_lost(rows, lost)
-    return PoseTable(tuple(rows), float(np.median(good)), float(np.sqrt(noise2)), layout)
+    return PoseTable(tuple(rows), float(np.median(good)), float(np.sqrt(noise2)), layout, report)
 
 
 def _noise(detections: list[Detection], roots: list[list[Root]]) -> tuple[float, list[float]]:

@@ -217,6 +217,12 @@ def _opencv(points_3d, points_2d, calibration: Calibration, method: int) -> list
     return [pose for pose in poses if np.all(np.isfinite(pose))]
 
 
+def reprojection_rms(world_from_camera: np.ndarray, detection: Detection, calibration: Calibration) -> float:
+    """Root mean square distance in pixels of detected points from where a pose (4, 4) puts them."""
+    pixels = project(detection.points_3d, invert(world_from_camera), calibration)[0]
+    return float(np.sqrt(np.mean(np.sum((pixels - detection.points_2d) ** 2, axis=1))))
+
+
 def pose_covariance(root: Root, detection: Detection, calibration: Calibration) -> np.ndarray:
     """(6, 6) covariance: rotation about the camera's axes (radians), then its place in the world (metres).
 

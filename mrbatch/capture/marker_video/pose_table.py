@@ -16,12 +16,13 @@ class FramePose:
 
     `world_from_camera` (4, 4) float64 metres, None where the frame has no usable pose. `roots`: all
     poses that explain the picture, best first; `chosen` indexes them (None: lost). `rms`: reprojection
-    error in pixels of the chosen root. `covariance` (6, 6): rotation about the camera's axes
-    (radians), then its place in the world (metres); None where the pose was not measured here.
-    `flags`: `lost` (nothing usable was seen), `ambiguous` (two roots not told apart; refused),
-    `held`, `interpolated`, `poor-fit` (used, but the print is bent or the calibration off). `points`:
-    how many points were seen. `repaired`: ids whose wrong bits were corrected. `fault`: why the picture
-    cannot be used at all, such as a marker that is seen twice; such a frame is no lost one.
+    error in pixels of the pose: the chosen root, smoothed if the job says so. `covariance` (6, 6): rotation
+    about the camera's axes (radians), then its place in the world (metres); None where the pose is neither
+    measured nor smoothed. `flags`: `lost` (nothing usable was seen), `ambiguous` (two roots not told apart;
+    refused), `held`, `interpolated`, `moved-far` (by smoothing, beyond the pose's covariance), `poor-fit`
+    (used, but the print is bent or the calibration off). `points`: how many points were seen. `repaired`:
+    ids whose wrong bits were corrected. `fault`: why the picture cannot be used at all, such as a marker
+    that is seen twice; such a frame is no lost one.
     """
 
     number: int
@@ -57,13 +58,14 @@ class PoseTable:
 
     `median_rms`: median reprojection error in pixels of the measured frames. `noise`: standard deviation of
     detected points relative to what their covariance says. `layout`: world_from_tag (4, 4) by
-    id where it was estimated.
+    id where it was estimated. `smoothing`: what a report says of it, where poses were smoothed.
     """
 
     frames: tuple[FramePose, ...]
     median_rms: float
     noise: float
     layout: dict[int, np.ndarray] | None = None
+    smoothing: dict[str, Any] | None = None
 
     def poses(self) -> dict[int, np.ndarray]:
         """Frame number to world_from_camera of every frame that has one."""

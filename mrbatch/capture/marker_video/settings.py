@@ -8,13 +8,24 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
 from mrbatch.capture.marker_video.target_settings import TargetSettings
-from mrbatch.quantities import Colour, Duration, InputPath, Number, Position, Reflectance, Rotation, Settings
+from mrbatch.quantities import (
+    Angle,
+    Colour,
+    Duration,
+    InputPath,
+    Length,
+    Number,
+    Position,
+    Reflectance,
+    Rotation,
+    Settings,
+)
 
 Transfer = Literal["auto", "linear", "srgb", "bt709", "bt1886", "gamma22", "gamma28", "pq", "hlg"]
 Range = Literal["auto", "limited", "full"]
@@ -289,6 +300,42 @@ class SubsetSettings(Settings):
     to_time: Duration | None = Field(None, description="Frames before this time.")
 
 
+SmoothingModel = Literal["constant-velocity", "constant-acceleration"]
+
+
+class SmoothingSettings(ShortSettings):
+    """Poses smoothed over time, without lag, each weighed by its covariance."""
+
+    short_forms = ({"enum": list(get_args(SmoothingModel))},)
+
+    model: SmoothingModel = Field(
+        "constant-velocity",
+        description="What a camera keeps to until something pushes it; how much it is pushed is estimated "
+        "from the shot.",
+    )
+    sigma_angle: Annotated[Angle, Field(gt=0)] | None = Field(
+        None, description="Standard deviation of given `poses` about each axis of the camera."
+    )
+    sigma_place: Annotated[Length, Field(gt=0)] | None = Field(
+        None, description="Standard deviation of given `poses` along each axis of the world."
+    )
+
+    @classmethod
+    def expand(cls, value: Any) -> Any:
+        return {"model": value}
+
+    @model_validator(mode="after")
+    def _both(self):
+        if (self.sigma_angle is None) != (self.sigma_place is None):
+            raise ValueError("`sigma_angle` and `sigma_place` go together")
+        return self
+
+    @property
+    def order(self) -> int:
+        """How often the noise that pushes the camera is integrated: 2 or 3."""
+        return 2 if self.model == "constant-velocity" else 3
+
+
 class MarkerVideoSettings(Settings):
     """A video or picture sequence in which a printed target fixes the world."""
 
@@ -313,9 +360,19 @@ class MarkerVideoSettings(Settings):
     gain: GainSettings = Field(GainSettings(value=(1.0, 1.0, 1.0)), description="photo = gain x radiance.")
     mattes: MatteSettings | None = Field(None, description="What passes in front of the virtual objects.")
     lost: LostPolicy = Field("stop", description="What happens to frames for which no pose is found.")
+    smoothing: SmoothingSettings | None = Field(
+        None, description="How poses are smoothed over time; none: they stay as they are found."
+    )
 
     @model_validator(mode="after")
     def _posed(self):
         if (self.target is None) == (self.poses is None):
             raise ValueError("expected either `target` (poses are found) or `poses` (they are given)")
+        if self.smoothing is not None and (self.poses is None) != (self.smoothing.sigma_angle is None):
+            raise ValueError(
+                "`smoothing` of given `poses` needs `sigma_angle` and `sigma_place`: a file has no covariance"
+                if self.poses is not None
+                else "`smoothing` takes the covariance of poses that are found: leave out its `sigma_angle` "
+                "and `sigma_place`"
+            )
         return self

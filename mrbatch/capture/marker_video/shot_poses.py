@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,16 @@ def find_poses(
                 place=Place(file=str(settings.poses)),
                 hint="poses carry the numbers of the shot's frames; `start_frame` renumbers the frames",
             )
-        return fill_lost(rows, settings.lost), {"source": "file"}
+        report: dict[str, Any] = {"source": "file"}
+        if settings.smoothing is not None:
+            from mrbatch.capture.marker_video.pose_smoothing import smooth_poses
+
+            angle, length = settings.smoothing.sigma_angle, settings.smoothing.sigma_place
+            covariance = np.diag(np.repeat([angle, length], 3).astype(np.float64) ** 2)
+            rows = [replace(row, covariance=covariance) for row in rows]
+            smoothed = smooth_poses(rows, order=settings.smoothing.order, fill=settings.lost == "interpolate")
+            rows, report["smoothing"] = smoothed.rows, smoothed.as_json()
+        return fill_lost(rows, settings.lost), report
 
     def pictures() -> Iterator[tuple[int, float, Callable[[], np.ndarray]]]:
         for number in numbers:
@@ -92,8 +102,11 @@ def find_poses(
         progress("looking for the target", len(seen) + len(broken), len(numbers), detail)
 
     solver: SolvePoses = solve or solve_poses
+    how: dict[str, Any] = {"lost": settings.lost}
+    if settings.smoothing is not None:
+        how["smoothing"] = settings.smoothing.order
     try:
-        found = solver(pictures(), calibration, settings.target, lost=settings.lost, progress=looked)
+        found = solver(pictures(), calibration, settings.target, progress=looked, **how)
     except InputError:
         if len(broken) == len(numbers):
             raise InputError(
@@ -116,4 +129,6 @@ def find_poses(
         "layout": {str(i): np.asarray(m).tolist() for i, m in layout.items()},
         "frames": rows_json,
     }
+    if settings.smoothing is not None:
+        report["smoothing"] = found.smoothing
     return found.frames, report

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -21,6 +21,9 @@ def told(table: Mapping[str, Any]) -> Told:
         if row.get("rms_px") is not None
     }
     facts.append(("camera track", _track(table, report, rms), _TRACK_MEANING if rms else ""))
+    smoothing = report.get("smoothing")
+    if smoothing and smoothing["frames"]:
+        facts.append(("smoothing", _moved(smoothing), "how far poses moved from where they were found"))
     flags = Counter(flag for several in table["flags"].values() for flag in several)
     if flags:
         words = ", ".join(f"{count} {flag}" for flag, count in sorted(flags.items()))
@@ -29,7 +32,41 @@ def told(table: Mapping[str, Any]) -> Told:
     if gains:
         facts.append(("gain", _gain(gains), "photo = gain x radiance of the light"))
     frames = {number: {"marker rms": (value, "px")} for number, value in rms.items()}
+    for number, shift in (smoothing or {"frames": {}})["frames"].items():
+        frames.setdefault(int(number), {})["pose moved"] = (float(shift["mm"]), "mm")
     return Told(tuple(facts), frames)
+
+
+def smoothing_notes(smoothing: Mapping[str, Any]) -> list[str]:
+    """What has to be said of smoothed poses, from `Smoothed.as_json`."""
+    if not smoothing["frames"]:
+        return ["too few frames have a pose to smooth them"]
+    notes = [f"smoothing moved poses by {_moved(smoothing)}"]
+    starts, still, far = smoothing["segments"], smoothing["still"], smoothing["far"]
+    if still:
+        where = "" if len(starts) == 1 else f" from frame {_some(still)} on"
+        notes.append(f"the camera stands still{where}: one pose serves")
+    if len(starts) > 1:
+        notes.append(f"poses jump, so nothing is smoothed across, at frame {_some(starts[1:])}")
+    if far:
+        notes.append(
+            f"smoothing moved poses by more than three sigma of their covariance at frame {_some(far)}: "
+            "they are worse than they claim, or the camera was pushed there"
+        )
+    return notes
+
+
+def _moved(smoothing: Mapping[str, Any]) -> str:
+    mm, deg = smoothing["mm"], smoothing["deg"]
+    return (
+        f"{mm['rms']:.2g} mm and {deg['rms']:.2g} deg (root mean square), at most "
+        f"{mm['largest']:.2g} mm (frame {mm['largest_frame']}) and "
+        f"{deg['largest']:.2g} deg (frame {deg['largest_frame']})"
+    )
+
+
+def _some(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers[:20])) + (f" and {len(numbers) - 20} more" if len(numbers) > 20 else "")
 
 
 _TRACK_MEANING = "from where the marker's corners are to where the solved camera puts them, root mean square"
