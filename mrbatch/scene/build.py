@@ -15,7 +15,9 @@ from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import to_linear, to_rec709
 from mrbatch.scene import material_settings as looks
 from mrbatch.scene import settings as given
+from mrbatch.scene.alignment_settings import Alignment
 from mrbatch.scene.environment import Environment, load_environment
+from mrbatch.scene.environment_tables import Rows
 from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
 from mrbatch.scene.gltf_header import further_files
 from mrbatch.scene.gltf_material import material_from_gltf
@@ -35,15 +37,19 @@ def build_scene(
     virtual: Sequence[given.VirtualObject],
 ) -> Scene:
     """Reads every file of the scene. Raises InputError for one that cannot be used."""
+    told: list[str] = []
     if environment is None:
         light = Environment(radiance=np.zeros((1, 2, 3), np.float32))
     else:
-        matrix = environment.world_from_map
+        matrix = None if environment.world_from_map is None else np.array(environment.world_from_map)
+        if environment.align is not None:
+            matrix, note = _aligned(environment.align, environment.rows)
+            told.append(note)
         light = load_environment(
             environment.file,
             rows=environment.rows,
             yaw=environment.yaw,
-            world_from_map=None if matrix is None else np.array(matrix),
+            world_from_map=matrix,
             scale=environment.scale,
             interpolation=environment.interpolation,
         )
@@ -51,7 +57,7 @@ def build_scene(
     for item in virtual:
         seen += _virtual(item)
     objects = tuple([_real(item) for item in real] + [found for found, _ in seen])
-    told = [note for _, more in seen for note in more]
+    told += [note for _, more in seen for note in more]
     textures = [item.material.texture for item in objects if item.material.texture is not None]
     notes = (*light.notes, *told, *(note for texture in textures for note in texture.notes))
     return Scene(objects, light, centre(objects), tuple(dict.fromkeys(notes)))
@@ -76,6 +82,16 @@ def scene_files(
         if isinstance(reflectance, looks.Texture):
             files.append(reflectance.texture)
     return files
+
+
+def _aligned(alignment: Alignment, rows: Rows) -> tuple[np.ndarray, str]:
+    """(3, 3) world_from_map, and what the report says of it."""
+    found = alignment.solved(rows)
+    off = ", ".join(f"{math.degrees(r):.2f}" for r in found.residuals)
+    return found.world_from_map, (
+        f"the environment map is turned to meet {len(found.residuals)} marked directions: they are {off} "
+        "degrees off"
+    )
 
 
 def _real(item: given.RealObject) -> SceneObject:

@@ -12,6 +12,7 @@ from pydantic import (
     BeforeValidator,
     Field,
     ValidationError,
+    ValidationInfo,
     WithJsonSchema,
     field_validator,
     model_validator,
@@ -29,6 +30,7 @@ from mrbatch.quantities import (
     Settings,
     Vector3,
 )
+from mrbatch.scene.alignment_settings import Alignment
 from mrbatch.scene.material_settings import (
     ConstantTextureOrPhoto,
     Dielectric,
@@ -74,6 +76,9 @@ class Environment(Settings):
     world_from_map: Matrix3 | None = Field(
         None, description="Rotation, 3x3, that takes directions of the map to the world; instead of `yaw`"
     )
+    align: Alignment | None = Field(
+        None, description="Directions marked in the map and known in the world; instead of `yaw`"
+    )
     scale: Positive = Field(1.0, description="Factor on the map's radiance, 0 or more")
     interpolation: Literal["bilinear", "nearest"] = Field(
         "bilinear", description="How radiance is read between the map's texels"
@@ -90,10 +95,21 @@ class Environment(Settings):
                 raise ValueError("is not a rotation but mirrors: its determinant is -1")
         return value
 
+    @field_validator("align")
+    @classmethod
+    def _can_be_aligned(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and "rows" in info.data:
+            value.solved(info.data["rows"])
+        return value
+
     @model_validator(mode="after")
     def _one_rotation(self) -> Environment:
-        if self.world_from_map is not None and self.yaw != 0.0:
-            raise ValueError("`yaw` and `world_from_map` are both given: give one")
+        given = {"yaw": self.yaw != 0.0}
+        given |= {name: getattr(self, name) is not None for name in ("world_from_map", "align")}
+        names = [f"`{name}`" for name, there in given.items() if there]
+        if len(names) > 1:
+            which = "both" if len(names) == 2 else "all"
+            raise ValueError(f"{', '.join(names[:-1])} and {names[-1]} are {which} given: give one")
         return self
 
 

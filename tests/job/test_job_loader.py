@@ -155,6 +155,26 @@ def test_several_errors_at_once_each_in_its_place(sample):
         ("name: ball", "name: table", "table\n", "is taken by real.0"),
         ("name: ball", "name: b.all", "b.all", "not allowed"),
         ("rows: endpoints", "world_from_map: [[1,0,0],[0,1,0],[0,0,-1]]", "[[1,0", "mirrors"),
+        (
+            "yaw: 30 deg",
+            "align: {directions: [{map: [0.5, 0.5], world: [1, 0, 0]}, "
+            "{map: [0.5, 0.501], world: [0, 0, 1]}]}",
+            "{directions",
+            "leaves the map free to turn",
+        ),
+        (
+            "yaw: 30 deg",
+            "align: {directions: [{map: [0.5, 0.5], world: [1, 0, 0]}, {map: [0.5, 0.9], world: [0, 0, 1]}]}",
+            "{directions",
+            "contradict each other",
+        ),
+        (
+            "yaw: 30 deg",
+            "align: {directions: [{map: [0.5, 0.5], world: [1, 0, 0]}, {map: [0.5, 0.9], world: [0, 0, 0]}]}",
+            "[0, 0, 0]",
+            "must not have the length 0",
+        ),
+        ("yaw: 30 deg", "align: {directions: [{map: [0.5, 0.5], world: [1, 0, 0]}]}", "[{map", "at least 2"),
         ("scale: 0.5", "scale: 0", "0}\n    material", "must not be 0"),
         ("frames: 1001", "frames: x1001", "x1001", "cannot read the frames"),
         ("name: desk", "name: ../desk", "../desk", "not allowed"),
@@ -355,7 +375,8 @@ def test_any_value_at_any_place_gives_a_job_or_errors(sample, data):
     paths = ["virtual", "virtual.0", "virtual.0.material", "virtual.0.transform.scale", "virtual.1.sphere",
              "real.1.reflectance", "real.0.plane.size", "capture", "capture.gain", "capture.marker", "method",
              "method.name", "participants", "participants.0", "output", "output.layers", "output.pattern",
-             "effects", "frames", "environment", "environment.world_from_map", "name", "seed"]  # fmt: skip
+             "effects", "frames", "environment", "environment.world_from_map", "environment.align",
+             "environment.align.directions", "name", "seed"]  # fmt: skip
     override = f"{data.draw(st.sampled_from(paths))}={data.draw(st.sampled_from(WORDS))}"
     try:
         parse_job(sample, FILE, [override])
