@@ -101,7 +101,8 @@ def test_policies_for_lost_frames_hold(tmp_path):
         ("constant-velocity", "needs `sigma_angle` and `sigma_place`"),
         ({"sigma_angle": "1 deg"}, "go together"),
         ({"model": "spline"}, "got `spline`"),
-        ({**SIGMA, "sigma_place": "0 mm"}, "above 0"),
+        ({**SIGMA, "sigma_place": "0 mm"}, "at least 1e-09"),
+        ({**SIGMA, "sigma_angle": "200 deg"}, "at most 3.14"),
     ],
 )
 def test_what_makes_no_sense_is_refused_in_its_place(tmp_path, smoothing, words):

@@ -313,11 +313,12 @@ class SmoothingSettings(ShortSettings):
         description="What a camera keeps to until something pushes it; how much it is pushed is estimated "
         "from the shot.",
     )
-    sigma_angle: Annotated[Angle, Field(gt=0)] | None = Field(
-        None, description="Standard deviation of given `poses` about each axis of the camera."
+    sigma_angle: Annotated[Angle, Field(ge=1e-9, le=math.pi)] | None = Field(
+        None,
+        description="Standard deviation of given `poses` about each axis of the camera, 1e-9 rad to 180 deg.",
     )
-    sigma_place: Annotated[Length, Field(gt=0)] | None = Field(
-        None, description="Standard deviation of given `poses` along each axis of the world."
+    sigma_place: Annotated[Length, Field(ge=1e-9, le=1e3)] | None = Field(
+        None, description="Standard deviation of given `poses` along each axis of the world, 1 nm to 1 km."
     )
 
     @classmethod
