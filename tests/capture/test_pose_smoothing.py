@@ -138,6 +138,16 @@ def test_a_cut_is_not_smeared(frames):
     assert np.abs(poses_of(found.rows[:cut]) - alone).max() < SIGMA_PLACE
 
 
+@pytest.mark.parametrize("sigma", [1e-6, 1e-4])
+def test_a_path_known_better_than_it_can_be_foretold_is_not_cut(sigma):
+    rows = [
+        FramePose(k, k / RATE, pose, covariance=sigma**2 * np.eye(6)) for k, pose in enumerate(swaying(40))
+    ]
+    found = smooth_poses(rows)
+    assert found.starts == (0,) and found.still == () and found.far == []
+    assert max(shift.metres for shift in found.shifts.values()) < sigma
+
+
 def test_one_wrong_pose_does_not_bend_its_neighbours():
     rows = measured(swaying(100))
     wrong = rows[40].world_from_camera.copy()
@@ -158,7 +168,7 @@ def test_stills_from_anywhere_stay_where_they_are(order):
     rows = measured(truth)
     found = smooth_poses(rows, order=order)
     assert found.still == ()
-    assert max(shift.metres for shift in found.shifts.values()) < 0.2 * SIGMA_PLACE
+    assert max(shift.metres for shift in found.shifts.values()) < 0.5 * SIGMA_PLACE
 
 
 def test_a_pose_beyond_its_covariance_is_told():

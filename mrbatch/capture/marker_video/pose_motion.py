@@ -19,7 +19,7 @@ from scipy.stats import chi2
 CUT = float(chi2.isf(1e-12, 6))
 """Squared innovation, in units of its covariance, from which on a frame does not continue the path: chance
 alone does that once in 10^12 frames."""
-_TRACKING_INDICES = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0)
+_TRACKING_INDICES = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 8.0)
 """log10 of process noise over sigma^2 / dt^(2 order - 1), where the search for the likeliest begins."""
 
 
@@ -61,7 +61,7 @@ class Filtered:
 
     `states`, `covariances`: after the frame; `predicted`, `predicted_covariances`: before it, None where a
     segment starts. `transitions`: F into the frame. `starts`: indices of the segments' first frames.
-    `cost`: -2 log likelihood of the innovations; a cut counts as `CUT`.
+    `cost`: -2 log likelihood of the innovations; where it is cut, of `CUT` and a pose anywhere in the shot.
     """
 
     states: list[np.ndarray]
@@ -85,6 +85,10 @@ def run_filter(
     out = Filtered([state], [p], [None], [None], [None], [0])
     steps: dict[float, tuple[np.ndarray, np.ndarray]] = {}
     eye = np.eye(6 * motion.order)
+    seen = ~np.isnan(y[:, 0])
+    # A cut may lead anywhere in the shot: else cutting all the time would be the likeliest account of a path
+    # that is known far better than it can be foretold.
+    anywhere = float(np.linalg.slogdet(np.cov(y[seen].T) + covariances[seen].mean(axis=0))[1]) if cut else 0.0
     for k in range(1, len(times)):
         dt = float(times[k] - times[k - 1])
         if dt not in steps:
@@ -98,12 +102,13 @@ def run_filter(
             innovation, s = y[k] - ahead[:6], before[:6, :6] + covariances[k]
             solved = np.linalg.solve(s, np.column_stack([innovation, before[:6]]))
             distance = float(innovation @ solved[:, 0])
-            out.cost += (min(distance, CUT) if cut else distance) + float(np.linalg.slogdet(s)[1])
             if cut and distance > CUT:
+                out.cost += CUT + anywhere
                 state, p = motion.start(y[k], covariances[k])
                 out.starts.append(k)
                 predicted = (None, None, None)
             else:
+                out.cost += distance + float(np.linalg.slogdet(s)[1])
                 gain = solved[:, 1:].T
                 state = ahead + gain @ innovation
                 rest = eye.copy()
@@ -164,7 +169,7 @@ def likeliest_motion(
     unit = [c / dt ** (2 * order - 1) for c in scale]
 
     def motion(exponents: np.ndarray) -> Motion:
-        noise = [u * 10.0**e for u, e in zip(unit, np.clip(exponents, -10.0, 10.0), strict=True)]
+        noise = [u * 10.0**e for u, e in zip(unit, np.clip(exponents, -10.0, 14.0), strict=True)]
         return Motion(order, np.repeat(noise, 3), np.array(spread))
 
     def cost(exponents: np.ndarray) -> float:
