@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -145,88 +147,46 @@ def _comparison(command):
     return _subject(command)
 
 
+def _compare(
+    compare: Callable[..., Any],
+    draw: Callable[[Any], None],
+    *given: Any,
+    job: Path,
+    settings: tuple[str, ...],
+    frame: int | None,
+    json_file: Path | None,
+    **options: Any,
+) -> None:
+    """Compares, prints the table and writes the numbers."""
+    try:
+        found = compare(Variants(job, settings, frame=frame), *given, said=_told, **options)
+        draw(found)
+        if json_file is not None:
+            write_json(found, json_file)
+    except MrbatchError as error:
+        raise click.ClickException(str(error)) from error
+
+
 @main.command()
 @_comparison
 @click.option("--most", default=10, show_default=True, type=click.IntRange(1, 1000), help="Bounces.")
-def bounces(
-    job: Path,
-    settings: tuple[str, ...],
-    frame: int | None,
-    repeats: int,
-    threads: int,
-    reference_spp: int,
-    json_file: Path | None,
-    most: int,
-) -> None:
+def bounces(most: int, **options: Any) -> None:
     """Delta path tracing and its baselines, from 1 bounce on: seconds, error, look-ups of the map."""
-    try:
-        found = compare_bounces(
-            Variants(job, settings, frame=frame),
-            range(1, most + 1),
-            repeats=repeats,
-            reference_spp=reference_spp,
-            threads=threads,
-            said=_told,
-        )
-        draw_bounces(found)
-        if json_file is not None:
-            write_json(found, json_file)
-    except MrbatchError as error:
-        raise click.ClickException(str(error)) from error
+    _compare(compare_bounces, draw_bounces, range(1, most + 1), **options)
 
 
 @main.command()
 @_comparison
-def strategies(
-    job: Path,
-    settings: tuple[str, ...],
-    frame: int | None,
-    repeats: int,
-    threads: int,
-    reference_spp: int,
-    json_file: Path | None,
-) -> None:
+def strategies(**options: Any) -> None:
     """The map's light sampled by the map, by surfaces, or both weighted: error at equal samples."""
-    try:
-        found = compare_strategies(
-            Variants(job, settings, frame=frame),
-            repeats=repeats,
-            reference_spp=reference_spp,
-            threads=threads,
-            said=_told,
-        )
-        draw_strategies(found)
-        if json_file is not None:
-            write_json(found, json_file)
-    except MrbatchError as error:
-        raise click.ClickException(str(error)) from error
+    _compare(compare_strategies, draw_strategies, **options)
 
 
 @main.command()
 @_comparison
-def samplers(
-    job: Path,
-    settings: tuple[str, ...],
-    frame: int | None,
-    repeats: int,
-    threads: int,
-    reference_spp: int,
-    json_file: Path | None,
-) -> None:
+def samplers(**options: Any) -> None:
     """Ways to draw directions from the map, and sequences of random numbers: error at equal samples."""
-    try:
-        found = compare_samplers(
-            Variants(job, settings, frame=frame),
-            repeats=repeats,
-            reference_spp=reference_spp,
-            threads=threads,
-            said=_told,
-        )
-        draw_samplers(found)
-        if json_file is not None:
-            write_json(found, json_file)
-    except MrbatchError as error:
-        raise click.ClickException(str(error)) from error
+    _compare(compare_samplers, draw_samplers, **options)
 
 
 if __name__ == "__main__":
