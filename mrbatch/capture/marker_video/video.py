@@ -99,7 +99,7 @@ def _open(path: Path) -> tuple[Any, Any]:
 
     place = Place(file=str(path))
     if not path.is_file():
-        raise InputError("there is no such video", place=place, hint="check `capture.frames`")
+        raise InputError("there is no such video", place=place, hint="check its path and name")
     if file_kind(path) in (EMPTY, TEXT):
         # A playlist or subtitles to the demuxer, never footage.
         raise unreadable(path, "a video", VIDEOS)
