@@ -108,6 +108,7 @@ def test_strategies_are_compared_at_equal_samples(job):
     assert all(np.isfinite([row.rmse_real, row.rmse_virtual]).all() for row in found.rows)
 
 
+@pytest.mark.slow
 def test_samplers_are_compared_at_equal_samples(job):
     """By light samples alone, where a sample map's fixed directions show most."""
     settings = ["output.scale=0.5", "method.spp=512", "method.strategy=environment"]
@@ -138,7 +139,11 @@ def test_json_holds_every_number(variants):
     ("command", "words"),
     [
         (["bounces", "--most", "1"], ("two-pass", "one-pass", "RMSE", "look-ups", "over itself")),
-        (["samplers"], ("alias", "sample-map", "cranley-patterson", "over the first")),
+        pytest.param(
+            ["samplers"],
+            ("alias", "sample-map", "cranley-patterson", "over the first"),
+            marks=pytest.mark.slow,
+        ),
         (["strategies"], ("environment", "bsdf", "on virtual")),
     ],
 )
