@@ -116,9 +116,7 @@ PHOTO_REFLECTANCE = Rule(
 )
 RECEIVE = Rule("receive-switch", "objects that take no light change", _receive)
 
-WHOLE_PATH_RULES = (
-    VIRTUAL,
-    LIGHT_CHANGE,
+PATH_RULES = (
     GLOSSY,
     EMISSION,
     TRANSMISSION,
@@ -130,5 +128,8 @@ WHOLE_PATH_RULES = (
     DISTORTION,
     ENVIRONMENT,
 )
+"""What surfaces, light and lens may call for, whatever a method makes of the light change."""
+
+WHOLE_PATH_RULES = (VIRTUAL, LIGHT_CHANGE, *PATH_RULES)
 """Of methods that trace both radiances in full: fewer effects can be left out than where only
 their change is."""

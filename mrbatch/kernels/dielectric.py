@@ -31,9 +31,9 @@ from typing import Any
 import warp as wp
 
 from mrbatch.kernels.fresnel import fresnel_dielectric
+from mrbatch.kernels.ggx import ggx_distribution, ggx_slope_term
 from mrbatch.kernels.sampling import ggx_visible_normal
 
-_INV_PI = wp.constant(wp.float32(0.3183098861837907))
 _CERTAIN = wp.constant(wp.float32(float("inf")))
 _LAST = wp.constant(wp.float32(1.0 - 2.0**-24))
 
@@ -57,17 +57,6 @@ def refract(wo: wp.vec3, m: wp.vec3, eta: float) -> wp.vec3:
         return wp.vec3(0.0, 0.0, 0.0)
     cosine = wp.sqrt(1.0 - sine2)
     return wp.normalize((c / eta - cosine) * m - wo / eta)
-
-
-@wp.func
-def _distribution(alpha: float, h: wp.vec3) -> float:
-    ratio = alpha * wp.dot(h, h) / (alpha * alpha * h[2] * h[2] + h[0] * h[0] + h[1] * h[1])
-    return _INV_PI * ratio * ratio
-
-
-@wp.func
-def _slope_term(alpha: float, cosine: float) -> float:
-    return wp.sqrt(alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine)
 
 
 @wp.func
@@ -121,9 +110,9 @@ def make_dielectric(correlated: bool) -> DielectricFunctions:
         seen = wp.dot(wo, h)
         reflected = fresnel_dielectric(seen, eta)
         lit = wp.abs(wi[2])
-        so = _slope_term(alpha, wo[2])
-        si = _slope_term(alpha, lit)
-        d = _distribution(alpha, h)
+        so = ggx_slope_term(alpha, wo[2])
+        si = ggx_slope_term(alpha, lit)
+        d = ggx_distribution(alpha, h)
         # G2 over 4 wo_z wi_z.
         masked = 1.0 / ((wo[2] + so) * (lit + si))
         if wi[2] > 0.0:
@@ -142,7 +131,7 @@ def make_dielectric(correlated: bool) -> DielectricFunctions:
         if h[2] <= 0.0:
             return 0.0
         # Density of the visible normal over |wo.h|: G1 D / wo_z.
-        visible = 2.0 * _distribution(alpha, h) / (wo[2] + _slope_term(alpha, wo[2]))
+        visible = 2.0 * ggx_distribution(alpha, h) / (wo[2] + ggx_slope_term(alpha, wo[2]))
         p = _reflecting(wo, eta)
         if wi[2] > 0.0:
             return 0.25 * p * visible

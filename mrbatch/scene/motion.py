@@ -10,8 +10,18 @@ import numpy as np
 ALWAYS = ((-np.inf, np.inf),)
 
 
+class _Timed:
+    """What is there at some times only."""
+
+    visible: Sequence[tuple[float, float]]
+
+    def there(self, frame: float) -> bool:
+        """Whether the object is there at a frame."""
+        return any(first <= frame <= last for first, last in self.visible)
+
+
 @dataclass(frozen=True)
-class Motion:
+class Motion(_Timed):
     """Keys in rising order of `frames` (n,): `translations` (n, 3) metres, `rotations` (n, 4) unit
     quaternions (x, y, z, w), `scales` (n, 3). Between keys places and scales change linearly and rotations
     along the shortest arc at an even speed (Shoemake, SIGGRAPH 1985); before the first key and after the
@@ -25,10 +35,6 @@ class Motion:
     rotations: np.ndarray
     scales: np.ndarray
     visible: Sequence[tuple[float, float]] = ALWAYS
-
-    def there(self, frame: float) -> bool:
-        """Whether the object is there at a frame."""
-        return any(first <= frame <= last for first, last in self.visible)
 
     def world_from_object(self, frame: float) -> np.ndarray:
         """(4, 4) float64, metres, at a frame."""
@@ -46,16 +52,12 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Still:
+class Still(_Timed):
     """An object that stays where `matrix` (4, 4) puts it, and is there at some times only."""
 
     matrix: np.ndarray
     visible: Sequence[tuple[float, float]] = ALWAYS
     frames: Sequence[float] = (0.0,)
-
-    def there(self, frame: float) -> bool:
-        """Whether the object is there at a frame."""
-        return any(first <= frame <= last for first, last in self.visible)
 
     def world_from_object(self, frame: float) -> np.ndarray:
         """(4, 4) float64, metres."""

@@ -6,22 +6,7 @@ import numpy as np
 
 from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.facts import ShotFacts
-from mrbatch.effects.surface_rules import (
-    DISTORTION,
-    EMISSION,
-    ENVIRONMENT,
-    GLOSSY,
-    HOLDOUT,
-    LIGHT_CHANGE,
-    NORMAL_MAPS,
-    PHOTO_REFLECTANCE,
-    RECEIVE,
-    TEXTURES,
-    TRANSMISSION,
-    VIRTUAL,
-    absent,
-    needed,
-)
+from mrbatch.effects.surface_rules import LIGHT_CHANGE, PATH_RULES, VIRTUAL, absent, needed
 from mrbatch.scene.mesh import plane_of
 from mrbatch.scene.scene import SceneObject
 
@@ -66,14 +51,5 @@ RULES = (
     LIGHT_CHANGE,
     Rule("real-on-real", "light between real surfaces that virtual objects block", _real_on_real),
     Rule("bleeding", "light that virtual objects send onto real surfaces", _bleeding),
-    GLOSSY,
-    EMISSION,
-    TRANSMISSION,
-    NORMAL_MAPS,
-    TEXTURES,
-    PHOTO_REFLECTANCE,
-    HOLDOUT,
-    RECEIVE,
-    DISTORTION,
-    ENVIRONMENT,
+    *PATH_RULES,
 )
