@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,11 @@ import click
 
 from mrbatch.batch.prepare import Prepared, prepare
 from mrbatch.bench.bounces import bounces as compare_bounces
+from mrbatch.bench.peers.comparison import compare as compare_with_peer
 from mrbatch.bench.ray_share import ray_share
 from mrbatch.bench.samplers import samplers as compare_samplers
 from mrbatch.bench.strategies import strategies as compare_strategies
-from mrbatch.bench.tables import draw_bounces, draw_samplers, draw_strategies, write_json
+from mrbatch.bench.tables import draw_bounces, draw_peers, draw_samplers, draw_strategies, write_json
 from mrbatch.bench.thread_scaling import thread_scaling
 from mrbatch.bench.time_to_error import time_to_error
 from mrbatch.bench.variants import Variants
@@ -187,6 +190,29 @@ def strategies(**options: Any) -> None:
 def samplers(**options: Any) -> None:
     """Ways to draw directions from the map, and sequences of random numbers: error at equal samples."""
     _compare(compare_samplers, draw_samplers, **options)
+
+
+@main.command()
+@click.option("--peer", type=click.Choice(["mitsuba", "blender"]), required=True)
+@click.option("--python", default=sys.executable, help="That has the peer; default: this one.")
+@click.option("--relmse", default=1e-3, show_default=True, type=click.FloatRange(0, min_open=True))
+@click.option("--repeats", default=3, show_default=True, type=click.IntRange(3))
+@click.option(
+    "--spp", nargs=2, default=(16, 64), show_default=True, type=click.IntRange(2), help="To begin at."
+)
+@click.option("--threads", default=2, show_default=True, type=click.IntRange(1), help="Ours.")
+@click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="As in `mrbatch render`: `frames=0-3`."
+)
+@click.argument("job", type=click.Path(path_type=Path))
+def peers(job: Path, **options: Any) -> None:
+    """Whole jobs, start included, against another renderer's at the same noise."""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            found = compare_with_peer(job, folder=Path(folder), said=_told, **options)
+    except MrbatchError as error:
+        raise click.ClickException(str(error)) from error
+    draw_peers(found)
 
 
 if __name__ == "__main__":

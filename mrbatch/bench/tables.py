@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mrbatch.bench.bounces import OURS, Bounces
+from mrbatch.bench.peers.comparison import PeerComparison
 from mrbatch.bench.samplers import Samplers
 from mrbatch.bench.strategies import Strategies
 from mrbatch.bench.variants import Reference
@@ -79,6 +80,26 @@ def draw_samplers(found: Samplers) -> None:
 def interval(value: Interval) -> str:
     """A ratio with its interval."""
     return f"{value.value:.2f} [{value.low:.2f}, {value.high:.2f}]"
+
+
+def draw_peers(found: PeerComparison) -> None:
+    """Prints how long both take."""
+    rows = [
+        (
+            side.name,
+            str(side.spp),
+            number(side.noise),
+            seconds(float(np.median(side.seconds))),
+        )
+        for side in (found.ours, found.peer)
+    ]
+    note = (
+        f"{len(found.frames)} frames, {len(found.ours.seconds)} pairs of whole jobs; noise on "
+        f"{found.region:.0f} pixels a frame. {found.peer.name} takes "
+        f"{interval(found.ratio)} times as long, at equal noise "
+        f"{interval(found.at_equal_noise)} times. Their means are {number(found.apart)} apart (relMSE)."
+    )
+    _draw(("renderer", "samples", "relMSE", "seconds"), rows, note)
 
 
 def as_json(found: Bounces | Samplers | Strategies) -> dict[str, Any]:

@@ -1,0 +1,1 @@
+"""Other renderers on the same frames: what they take for the same error."""
