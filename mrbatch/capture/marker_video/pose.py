@@ -7,7 +7,11 @@ least (Viterbi). Frames without a pose are treated as the job says.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +24,6 @@ from mrbatch.capture.marker_video.markers import (
     other_dictionaries,
     srgb_to_linear,
 )
-from mrbatch.capture.marker_video.pose_smoothing import smooth_poses
 from mrbatch.capture.marker_video.pose_solver import (
     Root,
     angle_between,
@@ -43,6 +46,8 @@ REFUSED_SHARE = 0.06
 """... and from here on it is not this target."""
 _JUMP_CAP = 16.0
 """What the largest jump may cost, in units of chi^2 (four sigma): cuts and stills stay possible."""
+MOST_AT_ONCE = 8
+"""Pictures that are looked at, and held, at the same time."""
 _SEEN_FRAMES = 5
 """How many frames are searched for other dictionaries when the target is never seen."""
 
@@ -60,26 +65,29 @@ def solve_poses(
     """Poses of all frames of a shot.
 
     `frames`: number, time in seconds, and a call that gives the grey picture (height, width), as uint8
-    or uint16 codes of `transfer` or as linear floats; pictures are asked for one at a time. `lost`: what
-    happens to frames without a usable pose: `stop` (error), `skip` (no pose), `hold-last` (the pose
-    before), `interpolate` (between the neighbours; held at the ends). `smoothing`: order of the model of
-    motion by which poses are smoothed (`pose_smoothing`). `progress` is called with each frame number done
-    and whether the target is seen in it.
+    or uint16 codes of `transfer` or as linear floats; pictures are asked for in order, and a few are held
+    at a time. `lost`: what happens to frames without a usable pose: `stop` (error), `skip` (no pose),
+    `hold-last` (the pose before), `interpolate` (between the neighbours; held at the ends). `smoothing`:
+    order of the model of motion by which poses are smoothed (`pose_smoothing`). `progress` is called with
+    each frame number done and whether the target is seen in it.
 
     A frame in which a marker is seen twice gets a row with its `fault` and no pose. Raises InputError: the
     target is never seen (the hint names dictionaries that do see markers), or only in frames with a fault;
     a picture has another size than the calibration; poses are missing under `stop`.
     """
-    detector = TargetDetector(target, calibration, transfer=transfer)
     looked: list[tuple[int, float, Detection]] = []
     first: list[np.ndarray] = []
     faults: dict[int, InputError] = {}
-    for number, time, load in frames:
-        grey = load()
-        if grey.ndim != 2:
-            raise InputError(f"expected a grey picture, got shape {grey.shape}", place=Place(frame=number))
-        calibration.check_size(grey.shape[1], grey.shape[0], Place(frame=number))
-        detection = detector.detect(grey)
+    detectors = threading.local()
+
+    def detect(grey: np.ndarray) -> Detection:
+        # OpenCV does not say that threads may share one.
+        if not hasattr(detectors, "own"):
+            detectors.own = TargetDetector(target, calibration, transfer=transfer)
+        found: Detection = detectors.own.detect(grey)
+        return found
+
+    for number, time, grey, detection in _detected(frames, calibration, detect):
         if detection.duplicates:
             faults[number] = _seen_twice(detection, number)
         if len(detection) == 0 and len(first) < _SEEN_FRAMES:
@@ -104,6 +112,41 @@ def solve_poses(
         if number in faults:
             rows[number] = FramePose(number, time, None, points=len(detection), fault=faults[number].message)
     return replace(table, frames=tuple(rows[number] for number, _, _ in looked))
+
+
+_Looking = tuple[int, float, np.ndarray, "Future[Detection]"]
+
+
+def _done(looking: _Looking) -> tuple[int, float, np.ndarray, Detection]:
+    number, time, grey, found = looking
+    return number, time, grey, found.result()
+
+
+def _detected(
+    frames: Iterable[tuple[int, float, Callable[[], np.ndarray]]],
+    calibration: Calibration,
+    detect: Callable[[np.ndarray], Detection],
+) -> Iterator[tuple[int, float, np.ndarray, Detection]]:
+    """Frames in their order, each with its picture and what is seen in it; a few are looked at at a time."""
+    workers = min(MOST_AT_ONCE, os.cpu_count() or 1)
+    with ThreadPoolExecutor(workers) as pool:
+        ahead: deque[_Looking] = deque()
+        try:
+            for number, time, load in frames:
+                grey = load()
+                if grey.ndim != 2:
+                    raise InputError(
+                        f"expected a grey picture, got shape {grey.shape}", place=Place(frame=number)
+                    )
+                calibration.check_size(grey.shape[1], grey.shape[0], Place(frame=number))
+                ahead.append((number, time, grey, pool.submit(detect, grey)))
+                if len(ahead) > workers:
+                    yield _done(ahead.popleft())
+            while ahead:
+                yield _done(ahead.popleft())
+        finally:
+            for _, _, _, found in ahead:
+                found.cancel()
 
 
 def _seen_twice(detection: Detection, number: int) -> InputError:
@@ -159,6 +202,8 @@ def _table(
         )
     report = None
     if smoothing is not None:
+        from mrbatch.capture.marker_video.pose_smoothing import smooth_poses
+
         smoothed = smooth_poses(rows, order=smoothing, fill=lost == "interpolate")
         report = smoothed.as_json()
         rows = [
