@@ -107,7 +107,7 @@ def compare(
         pictures = []
         for n, photo, gain in zip(numbers, photos, gains):
             pixels, channels = _read(output / f"{n:04d}.exr")
-            pictures.append(_caught(pixels, channels, photo, gain) if peer == "blender" else pixels[..., :3])
+            pictures.append(caught(pixels, channels, photo, gain) if peer == "blender" else pixels[..., :3])
         return seconds, pictures
 
     said("ours, for the region of interest")
@@ -169,7 +169,10 @@ def _told(scene: Path) -> list[dict]:
 
 def _run(command: Sequence[str]) -> float:
     before = time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        raise MrbatchError(f"cannot run {command[0]}: {error.strerror}") from None
     seconds = time.perf_counter() - before
     if done.returncode != 0:
         last = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:]
@@ -184,7 +187,7 @@ def _read(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
     return np.asarray(picture.get_pixels(oiio.FLOAT)), tuple(picture.spec().channelnames)
 
 
-def _caught(pixels: np.ndarray, channels: Sequence[str], photo: np.ndarray, gain: np.ndarray) -> np.ndarray:
+def caught(pixels: np.ndarray, channels: Sequence[str], photo: np.ndarray, gain: np.ndarray) -> np.ndarray:
     """The composite of Blender's passes: what is virtual over the photo times the catcher pass."""
 
     def layer(name: str, parts: str) -> np.ndarray:
