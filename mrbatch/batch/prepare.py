@@ -33,7 +33,7 @@ from mrbatch.job.model import Job
 from mrbatch.job.naming import tells_where_named
 from mrbatch.job.paths import job_paths
 from mrbatch.job.resolve import pixel_relevant, placeless
-from mrbatch.scene.build import build_scene, scene_files
+from mrbatch.scene.build import CameraOf, build_scene, needs_cameras, scene_files
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.scene import Scene
 
@@ -176,13 +176,18 @@ def prepare(
     if opened is None:
         opened = look_at(job, open_capture(job, timing)[0], timing, progress)
     capture, key = opened.capture, opened.key
-    with timing.measure("scene"):
-        scene = build_scene(job.environment, job.real, job.virtual)
+    scene = None
+    if not needs_cameras(job.real):  # then what is wrong with its files is told before the shot is solved
+        with timing.measure("scene"):
+            scene = build_scene(job.environment, job.real, job.virtual)
     shot = load_shot(directory, key) if directory else None
     table = shot.table if shot else None
     if table is None:
         with timing.measure("capture"):
             table = dict(capture.prepare(progress))
+    if scene is None:
+        with timing.measure("scene"):
+            scene = build_scene(job.environment, job.real, job.virtual, _cameras(capture, table))
     facts: CaptureFacts = capture.facts(table)
     numbers = shot.frames if shot else tuple(int(n) for n in capture.frame_numbers())
     if not numbers:
@@ -203,6 +208,11 @@ def prepare(
         )
     job_hash = content_hash({"key": key, "shot": shot.hash, "engine": shot.engine, "version": __version__})
     return Prepared(job, capture, facts, scene, shot, job_hash, display, windows, layers, wanted)
+
+
+def _cameras(capture: Capture, table: Mapping[str, Any]) -> CameraOf:
+    """Of a frame's first view."""
+    return lambda number: next(iter(capture.geometry(number, table).values())).camera
 
 
 def _first_geometry(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,8 @@ from mrbatch.kernels.transfer import to_linear, to_rec709
 from mrbatch.scene import material_settings as looks
 from mrbatch.scene import settings as given
 from mrbatch.scene.alignment_settings import Alignment
+from mrbatch.scene.camera import Camera
+from mrbatch.scene.depth_map import load_depth_mesh
 from mrbatch.scene.environment import Environment, load_environment
 from mrbatch.scene.environment_tables import Rows
 from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
@@ -30,13 +32,25 @@ from mrbatch.scene.stored_picture import check_finite, colour_channels, primarie
 SPHERE_SUBDIVISIONS = 6
 POLISHED = 1e-3
 
+CameraOf = Callable[[int], Camera]
+"""The camera of a frame, with its pose; raises InputError for a frame that has none."""
+
+
+def needs_cameras(real: Sequence[given.RealObject]) -> bool:
+    """Whether the scene can be built only when the cameras of its frames are known."""
+    return any(item.depth_map is not None and item.depth_map.frame is not None for item in real)
+
 
 def build_scene(
     environment: given.Environment | None,
     real: Sequence[given.RealObject],
     virtual: Sequence[given.VirtualObject],
+    camera_of: CameraOf | None = None,
 ) -> Scene:
-    """Reads every file of the scene. Raises InputError for one that cannot be used."""
+    """Reads every file of the scene. Raises InputError for one that cannot be used.
+
+    `camera_of`: of frames that the settings name (`needs_cameras`).
+    """
     told: list[str] = []
     if environment is None:
         light = Environment(radiance=np.zeros((1, 2, 3), np.float32))
@@ -56,7 +70,8 @@ def build_scene(
     seen: list[tuple[SceneObject, tuple[str, ...]]] = []
     for item in virtual:
         seen += _virtual(item)
-    objects = tuple([_real(item) for item in real] + [found for found, _ in seen])
+    seen = [_real(item, camera_of) for item in real] + seen
+    objects = tuple(found for found, _ in seen)
     told += [note for _, more in seen for note in more]
     textures = [item.material.texture for item in objects if item.material.texture is not None]
     notes = (*light.notes, *told, *(note for texture in textures for note in texture.notes))
@@ -77,6 +92,8 @@ def scene_files(
     for item in items:
         if item.mesh is not None:
             files += [item.mesh, *further_files(item.mesh)]
+        if isinstance(item, given.RealObject) and item.depth_map is not None:
+            files.append(item.depth_map.file)
         look = item.material or (item if isinstance(item, given.RealObject) else None)
         reflectance = getattr(look, "reflectance", None)
         if isinstance(reflectance, looks.Texture):
@@ -94,14 +111,36 @@ def _aligned(alignment: Alignment, rows: Rows) -> tuple[np.ndarray, str]:
     )
 
 
-def _real(item: given.RealObject) -> SceneObject:
+def _real(item: given.RealObject, camera_of: CameraOf | None) -> tuple[SceneObject, tuple[str, ...]]:
+    """The object, and notes on it."""
     if item.material is not None:
         material = _surface(item.material)
     elif item.reflectance == "photo":
         material = Material(from_photo=True)
     else:
         material = _material("diffuse", item.reflectance, 0.0)
-    return _object(item, material, _shape(item), virtual=False, holdout=item.holdout)
+    notes: tuple[str, ...] = ()
+    if item.depth_map is not None:
+        mesh, note = load_depth_mesh(item.depth_map, _camera_of_frame(item, item.depth_map.frame, camera_of))
+        mesh, notes = _shaded(mesh, item), (note,)
+    else:
+        mesh = _shape(item)
+    return _object(item, material, mesh, virtual=False, holdout=item.holdout), notes
+
+
+def _camera_of_frame(item: given.RealObject, frame: int | None, camera_of: CameraOf | None) -> Camera | None:
+    if frame is None:
+        return None
+    assert camera_of is not None, "a depth map of a frame needs the cameras"
+    try:
+        return camera_of(frame)
+    except InputError as error:
+        raise InputError(
+            f"the depth map of `{item.name}` was taken in frame {frame}, which cannot be used: "
+            f"{error.message}",
+            place=error.place,
+            hint="name a frame of the shot, or give the depth map's own `camera`",
+        ) from None
 
 
 def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ...]]]:

@@ -12,6 +12,9 @@ from typing import Literal
 
 import numpy as np
 
+UNDONE = 1e-3
+"""Pixels by which a direction may miss the pixel that it was found for."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -102,3 +105,23 @@ class Camera:
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         k = self.matrix
         return np.stack([k[0, 0] * xd + k[0, 1] * yd + k[0, 2], k[1, 1] * yd + k[1, 2]], axis=1), z
+
+    def directions(self, pixels: np.ndarray) -> np.ndarray:
+        """Pixels (n, 2) to directions in the camera's frame (n, 3) float64 with z = 1: undoes `project`.
+
+        NaN beyond the place where the lens folds back. Perspective cameras only.
+        """
+        given = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        rays = np.ones((len(given), 3))
+        k = self.matrix
+        rays[:, 1] = (given[:, 1] - k[1, 2]) / k[1, 1]
+        rays[:, 0] = (given[:, 0] - k[0, 2] - k[0, 1] * rays[:, 1]) / k[0, 0]
+        if np.any(self.distortion) and len(given):
+            import cv2
+
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+            flat = np.ascontiguousarray(rays[:, None, :2])
+            rays[:, :2] = cv2.undistortPoints(flat, np.eye(3), self.distortion, criteria=criteria)[:, 0]
+            back = replace(self, world_from_camera=np.eye(4)).project(rays)[0]
+            rays[~(np.linalg.norm(back - given, axis=1) < UNDONE)] = np.nan
+        return rays

@@ -5,7 +5,7 @@ All lengths are metres and all angles radians after reading. Matrices read `a_fr
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
@@ -23,7 +23,6 @@ from mrbatch.quantities import (
     Angle,
     Colour,
     InputPath,
-    Number,
     Position,
     Positive,
     Rotation,
@@ -31,6 +30,7 @@ from mrbatch.quantities import (
     Vector3,
 )
 from mrbatch.scene.alignment_settings import Alignment
+from mrbatch.scene.depth_settings import DepthMap
 from mrbatch.scene.material_settings import (
     ConstantTextureOrPhoto,
     Dielectric,
@@ -40,14 +40,8 @@ from mrbatch.scene.material_settings import (
     to_triple,
     to_tuple,
 )
+from mrbatch.scene.matrix_settings import Matrix3, Matrix4, check_rotation
 
-ORTHONORMAL_TOLERANCE = 1e-5
-"""Largest entry of R^T R - 1 that a rotation given with six decimals may have."""
-
-Row3 = tuple[Number, Number, Number]
-Row4 = tuple[Number, Number, Number, Number]
-Matrix3 = Annotated[tuple[Row3, Row3, Row3], BeforeValidator(to_tuple)]
-Matrix4 = Annotated[tuple[Row4, Row4, Row4, Row4], BeforeValidator(to_tuple)]
 Scale3 = Annotated[
     Vector3,
     BeforeValidator(to_triple),
@@ -88,11 +82,7 @@ class Environment(Settings):
     @classmethod
     def _is_rotation(cls, value: Any) -> Any:
         if value is not None:
-            r = np.array(value, dtype=np.float64)
-            if np.max(np.abs(r.T @ r - np.eye(3))) > ORTHONORMAL_TOLERANCE:
-                raise ValueError("is not a rotation: its columns are not unit vectors at right angles")
-            if np.linalg.det(r) < 0.0:
-                raise ValueError("is not a rotation but mirrors: its determinant is -1")
+            check_rotation(value)
         return value
 
     @field_validator("align")
@@ -211,11 +201,10 @@ class Sphere(Settings):
     radius: PositiveLength = Field(description="Radius: a length above 0")
 
 
-SHAPES = ("mesh", "plane", "box", "sphere")
-
-
 class Object(Settings):
-    """A shape with its place in the world. Exactly one of `mesh`, `plane`, `box`, `sphere` is given."""
+    """A shape with its place in the world. Exactly one of `shapes` is given."""
+
+    shapes: ClassVar[tuple[str, ...]] = ("mesh", "plane", "box", "sphere")
 
     name: Name = Field(description="Name in layers, reports and `--set`; a letter first, no dots")
     mesh: InputPath | None = Field(None, description="Triangle mesh: PLY, OBJ, STL or GLB, in metres")
@@ -236,13 +225,13 @@ class Object(Settings):
     @classmethod
     def _one_shape(cls, data: Any, handler: Any) -> Any:
         """Counts the shapes beside the other checks, so that one reading shows all errors."""
-        given = [shape for shape in SHAPES if isinstance(data, dict) and data.get(shape) is not None]
+        given = [shape for shape in cls.shapes if isinstance(data, dict) and data.get(shape) is not None]
         if not isinstance(data, dict) or len(given) == 1:
             return handler(data)
         if given:
             message = f"{' and '.join(f'`{shape}`' for shape in given)} are given: an object has one shape"
         else:
-            message = f"no shape: give one of {', '.join(f'`{shape}`' for shape in SHAPES)}"
+            message = f"no shape: give one of {', '.join(f'`{shape}`' for shape in cls.shapes)}"
         found: list[InitErrorDetails] = []
         try:
             handler(data)
@@ -269,6 +258,11 @@ def _again(error: Any) -> InitErrorDetails:
 class RealObject(Object):
     """A surface of the captured place, as far as light needs it. Its picture is the photo's."""
 
+    shapes: ClassVar[tuple[str, ...]] = (*Object.shapes, "depth_map")
+
+    depth_map: DepthMap | None = Field(
+        None, description="A depth map, whose camera says where it stands: without `transform`"
+    )
     reflectance: ConstantTextureOrPhoto | None = Field(
         None,
         description="Diffuse reflectance, linear Rec.709, 0..1: grey, [r, g, b], a texture, or `photo`, "
@@ -289,6 +283,8 @@ class RealObject(Object):
             raise ValueError("one of `reflectance` and `material` is given")
         if isinstance(self.material, Dielectric):
             raise ValueError("a real surface is opaque: its material is diffuse, conductor or principled")
+        if self.depth_map is not None and self.transform != Transform():
+            raise ValueError("`depth_map` stands where its camera saw it: leave out `transform`")
         return self
 
 

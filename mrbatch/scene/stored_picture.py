@@ -47,19 +47,20 @@ def read_stored(
     kinds: Collection[str] = PICTURES,
     check: Callable[[Any, Place], None] | None = None,
     upright: bool = True,
+    only: Collection[str] = (),
 ) -> StoredPicture:
     """Reads one picture. Raises InputError: missing, damaged, cut short, too large, odd number type.
 
     `what` it is called in messages, `kinds` of files that these name as read here (`file_kind`).
     `check` looks at the header (an `ImageSpec`) first and may raise. `upright`: EXIF orientation is
     applied as viewers do. An EXR's data window is laid into its display window. A file of doubles is
-    read as float.
+    read as float. `only`: names of channels; the first one that the file has is read alone.
     """
     place = Place(file=str(path), frame=frame)
     if not path.is_file():
         raise InputError(f"there is no such {what}", place=place)
     try:
-        return _read_stored(path, place, what, kinds, check, upright)
+        return _read_stored(path, place, what, kinds, check, upright, only)
     except (UnicodeDecodeError, ValueError, RuntimeError, SystemError, MemoryError) as error:
         # A damaged header can even make OpenImageIO's own messages and names unreadable.
         raise InputError(
@@ -74,6 +75,7 @@ def _read_stored(
     kinds: Collection[str],
     check: Callable[[Any, Place], None] | None,
     upright: bool,
+    only: Collection[str],
 ) -> StoredPicture:
     import OpenImageIO as oiio
 
@@ -91,7 +93,9 @@ def _read_stored(
         _check_header(spec, place, what)
         if check is not None:
             check(spec, place)
-        values, names = _pixels(source, spec, names, lambda: unreadable(path, wanted, kinds, place=place))
+        values, names = _pixels(
+            source, spec, names, only, lambda: unreadable(path, wanted, kinds, place=place)
+        )
         flags = []
         window = (spec.full_x, spec.full_y, spec.full_width, spec.full_height)
         if window[2] > 0 and window[3] > 0 and window != (spec.x, spec.y, spec.width, spec.height):
@@ -125,11 +129,14 @@ def _check_header(spec: Any, place: Place, what: str) -> None:
 
 
 def _pixels(
-    source: Any, spec: Any, names: tuple[str, ...], failure: Callable[[], InputError]
+    source: Any, spec: Any, names: tuple[str, ...], only: Collection[str], failure: Callable[[], InputError]
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """The channels that anybody here looks at, and their names. Raises `failure()` where reading fails."""
     upper = [name.upper() for name in names]
-    if all(upper.count(c) == 1 for c in "RGB"):
+    alone = [upper.index(name.upper()) for name in only if name.upper() in upper]
+    if alone:
+        wanted = alone[:1]
+    elif all(upper.count(c) == 1 for c in "RGB"):
         wanted = [upper.index(c) for c in "RGB"]
         wanted += [upper.index("A")] if "A" in upper else []
     else:
