@@ -178,7 +178,8 @@ PRIMARIES: dict[str, tuple[tuple[float, float], ...]] = {
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
 
-def _xyz_from_rgb(chromaticities) -> np.ndarray:
+def xyz_from_rgb(chromaticities) -> np.ndarray:
+    """(3, 3) float64 of four (x, y) pairs, red green blue white; white has Y = 1 (SMPTE RP 177)."""
     xyz = np.array([[x / y, 1.0, (1.0 - x - y) / y] for x, y in chromaticities], dtype=np.float64)
     scale = np.linalg.solve(xyz[:3].T, xyz[3])
     return xyz[:3].T * scale
@@ -205,11 +206,11 @@ def rec709_from_primaries(chromaticities) -> np.ndarray:
     if not np.all(np.isfinite(given)) or np.any(given[:, 1] == 0.0):
         raise ValueError("chromaticities must be finite, with y above 0")
     try:
-        source = _xyz_from_rgb(given)
+        source = xyz_from_rgb(given)
     except np.linalg.LinAlgError:
         raise ValueError("these primaries lie on one line") from None
     white = source.sum(axis=1)
-    to_xyz = _xyz_from_rgb(target)
+    to_xyz = xyz_from_rgb(target)
     ratio = (_BRADFORD @ to_xyz.sum(axis=1)) / (_BRADFORD @ white)
     adapt = np.linalg.solve(_BRADFORD, ratio[:, None] * _BRADFORD)
     return np.linalg.solve(to_xyz, adapt @ source)

@@ -25,6 +25,7 @@ from mrbatch.scene.gltf_header import further_files
 from mrbatch.scene.gltf_material import material_from_gltf
 from mrbatch.scene.mesh import Mesh, box, concatenate, icosphere, plane
 from mrbatch.scene.mesh_file import Part, load_mesh, load_parts
+from mrbatch.scene.metals import metal_colours
 from mrbatch.scene.motion import ALWAYS, Motion, Still
 from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
 from mrbatch.scene.stored_picture import check_finite, colour_channels, primaries_of, read_stored
@@ -270,6 +271,9 @@ def _surface(look: looks.Material) -> Material:
             absorption=tuple(-math.log(c) / look.depth for c in look.colour),  # type: ignore[arg-type]
             priority=look.priority,
         )
+    if isinstance(look, looks.Conductor) and look.preset is not None:
+        base, edge = metal_colours(look.preset)
+        return Material("principled", base, look.roughness, name=look.name or "", metalness=1.0, edge=edge)
     alpha = 0.0 if isinstance(look, looks.Diffuse) else look.roughness
     material = replace(_material(look.type, look.reflectance, alpha), name=look.name or "")
     if isinstance(look, looks.Principled):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from mrbatch.quantities import Albedo, InputPath, Length, Number, Reflectance, Settings
 
@@ -68,8 +68,11 @@ class Diffuse(Settings):
     )
 
 
+Metal = Literal["aluminium", "chromium", "copper", "gold", "iron", "nickel", "silver", "titanium"]
+
+
 class Conductor(Settings):
-    """Metal: GGX microfacets with a reflectance at normal incidence (Schlick)."""
+    """Metal: GGX microfacets that reflect alike at all angles, or as a metal of known optical constants."""
 
     type: Literal["conductor"] = Field("conductor", description="Kind of material")
     name: Name | None = Field(
@@ -79,7 +82,20 @@ class Conductor(Settings):
         (0.9, 0.9, 0.9),
         description="Share of light reflected at normal incidence, linear Rec.709, 0..1, or a texture",
     )
+    preset: Metal | None = Field(
+        None,
+        description="Reflectance of that metal at every angle, from measured n and k, in place of "
+        "`reflectance`; light between its facets is not lost",
+    )
     roughness: Reflectance = Field(0.15, description="GGX alpha (not its root), 0..1")
+
+    @model_validator(mode="after")
+    def _one_reflectance(self) -> Conductor:
+        if self.preset is not None and "reflectance" in self.model_fields_set:
+            usual = type(self).model_fields["reflectance"].default
+            if self.reflectance != usual:  # what `resolved` filled in reads back
+                raise ValueError("`preset` and `reflectance` are both given: give one")
+        return self
 
 
 class Principled(Settings):
