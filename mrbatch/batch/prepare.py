@@ -15,6 +15,7 @@ from mrbatch.batch.commit import hash_file
 from mrbatch.batch.framing import data_window, display_size
 from mrbatch.batch.history import Segment, cut_segments
 from mrbatch.batch.shot import Shot, commit_shot, content_hash, load_shot
+from mrbatch.batch.shot_light import KEY, find_turn, needs_a_frame, turned
 from mrbatch.capture.frame import CaptureFacts, ViewGeometry
 from mrbatch.capture.registry import CAPTURES
 from mrbatch.contracts import Capture, Progress, Rule
@@ -177,7 +178,9 @@ def prepare(
         opened = look_at(job, open_capture(job, timing)[0], timing, progress)
     capture, key = opened.capture, opened.key
     scene = None
-    if not needs_cameras(job.real):  # then what is wrong with its files is told before the shot is solved
+    probe = needs_a_frame(job.environment)
+    if not probe and not needs_cameras(job.real):
+        # What is wrong with its files is told before the shot is solved.
         with timing.measure("scene"):
             scene = build_scene(job.environment, job.real, job.virtual)
     shot = load_shot(directory, key) if directory else None
@@ -185,9 +188,13 @@ def prepare(
     if table is None:
         with timing.measure("capture"):
             table = dict(capture.prepare(progress))
+        if probe and job.environment is not None:
+            with timing.measure("mirror ball"):
+                table[KEY] = find_turn(job.environment, capture, table)
     if scene is None:
         with timing.measure("scene"):
-            scene = build_scene(job.environment, job.real, job.virtual, _cameras(capture, table))
+            cameras = _cameras(capture, table)
+            scene = build_scene(job.environment, job.real, job.virtual, cameras, turned(table))
     facts: CaptureFacts = capture.facts(table)
     numbers = shot.frames if shot else tuple(int(n) for n in capture.frame_numbers())
     if not numbers:

@@ -6,12 +6,14 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from mrbatch.quantities import Angle, Number, Settings, Vector3
+from mrbatch.quantities import Angle, Number, Position, Settings, Vector3
+from mrbatch.scene.camera import Camera
 from mrbatch.scene.environment_alignment import EnvironmentAlignment, align, map_direction, pixel_direction
 from mrbatch.scene.environment_tables import Rows
-from mrbatch.scene.material_settings import to_tuple
+from mrbatch.scene.material_settings import PositiveLength, to_tuple
+from mrbatch.scene.mirror_ball import BallView, ball_from_circle, ball_from_outline, ball_from_world
 
 Side = Annotated[int, Field(ge=1)]
 
@@ -32,11 +34,63 @@ class MarkedDirection(Settings):
         return value
 
 
-class Alignment(Settings):
-    """A map turned so that marked directions meet."""
+Pixel = Annotated[tuple[Number, Number], BeforeValidator(to_tuple)]
 
-    directions: Annotated[tuple[MarkedDirection, ...], BeforeValidator(to_tuple), Field(min_length=2)] = (
-        Field(description="Two or more things seen in the map whose directions in the world are known")
+
+class Circle(Settings):
+    """A circle in a picture; pixel centres at half integers from the top left."""
+
+    centre: Pixel = Field(description="[x, y] in pixels")
+    radius: Annotated[Number, Field(gt=0.0)] = Field(description="Radius in pixels")
+
+
+class Ball(Settings):
+    """A ball in the world."""
+
+    centre: Position = Field(description="Its middle: lengths")
+    radius: PositiveLength = Field(description="Its radius: a length above 0")
+
+
+class Probe(Settings):
+    """A mirror ball in one of the frames. One of `outline`, `circle` and `ball` says where."""
+
+    frame: int = Field(description="Number of the frame")
+    outline: Annotated[tuple[Pixel, ...], BeforeValidator(to_tuple), Field(min_length=3)] | None = Field(
+        None, description="Three or more pixels [x, y] on the ball's outline, all round it"
+    )
+    circle: Circle | None = Field(
+        None, description="The ball's outline as a circle; only near the middle of the picture is it one"
+    )
+    ball: Ball | None = Field(None, description="The ball's place in the world and its radius")
+    upright: bool = Field(
+        False,
+        description="Whether the map stands upright (its top is the world's +Z): one lamp is then enough",
+    )
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Probe:
+        if sum(given is not None for given in (self.outline, self.circle, self.ball)) != 1:
+            raise ValueError("one of `outline`, `circle` and `ball` is given")
+        return self
+
+    def view(self, camera: Camera) -> BallView:
+        """The ball as the frame's camera sees it. Raises ValueError."""
+        if self.outline is not None:
+            return ball_from_outline(camera, np.array(self.outline))
+        if self.circle is not None:
+            return ball_from_circle(camera, *self.circle.centre, self.circle.radius)
+        assert self.ball is not None
+        return ball_from_world(camera, np.array(self.ball.centre), self.ball.radius)
+
+
+class Alignment(Settings):
+    """A map turned so that marked directions meet, or lamps that a mirror ball shows."""
+
+    directions: (
+        Annotated[tuple[MarkedDirection, ...], BeforeValidator(to_tuple), Field(min_length=2)] | None
+    ) = Field(None, description="Two or more things seen in the map whose directions in the world are known")
+    probe: Probe | None = Field(
+        None, description="A mirror ball in the picture that shows the map's lamps; instead of `directions`"
     )
     size: Annotated[tuple[Side, Side], BeforeValidator(to_tuple)] | None = Field(
         None,
@@ -44,11 +98,19 @@ class Alignment(Settings):
         "copy; the first pixel's centre is [0.5, 0.5]",
     )
     tolerance: Annotated[Angle, Field(gt=0)] = Field(
-        math.radians(3.0), description="How far any marked direction may be off after the turn"
+        math.radians(3.0), description="How far any marked direction, or lamp, may be off after the turn"
     )
 
+    @model_validator(mode="after")
+    def _one_way(self) -> Alignment:
+        if (self.directions is None) == (self.probe is None):
+            raise ValueError("one of `directions` and `probe` is given")
+        return self
+
     def solved(self, rows: Rows) -> EnvironmentAlignment:
-        """The rotation. Raises ValueError for marks beyond the map, on one line, or in contradiction."""
+        """The rotation of `directions`. Raises ValueError for marks beyond the map, on one line, or in
+        contradiction."""
+        assert self.directions is not None
         width, height = self.size or (1, 1)
         if self.size and rows == "endpoints" and height < 2:
             raise ValueError("a picture of one row cannot have its rows at the end points")

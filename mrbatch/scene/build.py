@@ -35,6 +35,8 @@ POLISHED = 1e-3
 
 CameraOf = Callable[[int], Camera]
 """The camera of a frame, with its pose; raises InputError for a frame that has none."""
+Turned = tuple[np.ndarray, str]
+"""(3, 3) world_from_map that was found in the shot, and what a report says of it."""
 
 
 def needs_cameras(real: Sequence[given.RealObject]) -> bool:
@@ -47,10 +49,12 @@ def build_scene(
     real: Sequence[given.RealObject],
     virtual: Sequence[given.VirtualObject],
     camera_of: CameraOf | None = None,
+    turned: Turned | None = None,
 ) -> Scene:
     """Reads every file of the scene. Raises InputError for one that cannot be used.
 
-    `camera_of`: of frames that the settings name (`needs_cameras`).
+    `camera_of`: of frames that the settings name (`needs_cameras`). `turned`: of a map whose turn the
+    settings leave to a mirror ball.
     """
     told: list[str] = []
     if environment is None:
@@ -58,8 +62,11 @@ def build_scene(
     else:
         matrix = None if environment.world_from_map is None else np.array(environment.world_from_map)
         if environment.align is not None:
-            matrix, note = _aligned(environment.align, environment.rows)
-            told.append(note)
+            if environment.align.probe is None:
+                turned = _aligned(environment.align, environment.rows)
+            assert turned is not None, "the map's turn has to be found in the shot first"
+            matrix = turned[0]
+            told.append(turned[1])
         light = load_environment(
             environment.file,
             rows=environment.rows,
@@ -102,8 +109,7 @@ def scene_files(
     return files
 
 
-def _aligned(alignment: Alignment, rows: Rows) -> tuple[np.ndarray, str]:
-    """(3, 3) world_from_map, and what the report says of it."""
+def _aligned(alignment: Alignment, rows: Rows) -> Turned:
     found = alignment.solved(rows)
     off = ", ".join(f"{math.degrees(r):.2f}" for r in found.residuals)
     return found.world_from_map, (

@@ -88,7 +88,7 @@ class Environment(Settings):
     @field_validator("align")
     @classmethod
     def _can_be_aligned(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None and "rows" in info.data:
+        if value is not None and value.directions is not None and "rows" in info.data:
             value.solved(info.data["rows"])
         return value
 
