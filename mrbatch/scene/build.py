@@ -23,11 +23,12 @@ from mrbatch.scene.environment_tables import Rows
 from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
 from mrbatch.scene.gltf_header import further_files
 from mrbatch.scene.gltf_material import material_from_gltf
+from mrbatch.scene.map_parallax import parallax_warning, seen_from
 from mrbatch.scene.mesh import Mesh, box, concatenate, icosphere, plane
 from mrbatch.scene.mesh_file import Part, load_mesh, load_parts
 from mrbatch.scene.metals import metal_colours
 from mrbatch.scene.motion import ALWAYS, Motion, Still
-from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
+from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre, virtual_bounds
 from mrbatch.scene.stored_picture import check_finite, colour_channels, primaries_of, read_stored
 
 SPHERE_SUBDIVISIONS = 6
@@ -81,6 +82,9 @@ def build_scene(
     seen = [_real(item, camera_of) for item in real] + seen
     objects = tuple(found for found, _ in seen)
     told += [note for _, more in seen for note in more]
+    if environment is not None and environment.position is not None:
+        light, note = _as_seen_there(environment, light, objects)
+        told.append(note)
     textures = [item.material.texture for item in objects if item.material.texture is not None]
     notes = (*light.notes, *told, *(note for texture in textures for note in texture.notes))
     return Scene(objects, light, centre(objects), tuple(dict.fromkeys(notes)))
@@ -107,6 +111,19 @@ def scene_files(
         if isinstance(reflectance, looks.Texture):
             files.append(reflectance.texture)
     return files
+
+
+def _as_seen_there(
+    settings: given.Environment, light: Environment, objects: Sequence[SceneObject]
+) -> tuple[Environment, str]:
+    """The map as it looks from the virtual objects, or as it is, with what has to be said of that."""
+    assert settings.position is not None
+    position = np.array(settings.position)
+    low, high = virtual_bounds(objects)
+    middle = 0.5 * (low + high)
+    if settings.proxy is None:
+        return light, parallax_warning(position, middle)
+    return seen_from(light, position, settings.proxy, middle, float(np.linalg.norm(high - low)))
 
 
 def _aligned(alignment: Alignment, rows: Rows) -> Turned:

@@ -137,6 +137,19 @@ class Scene:
         return tuple(o for o in self.objects if o.virtual)
 
 
+def virtual_bounds(objects: Sequence[SceneObject]) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest corner (3,) of the virtual objects (of all, where none is virtual) at all their
+    keys; 0 where there is nothing."""
+    if not objects:
+        return np.zeros(3), np.zeros(3)
+    chosen = [o for o in objects if o.virtual] or objects
+    # Of what moves, where it is at every key: one origin for all frames.
+    poses = [o.at(key) for o in chosen for key in (o.motion.frames if o.motion is not None else (0,))]
+    low = np.min([o.mesh.vertices.min(axis=0) for o in poses], axis=0)
+    high = np.max([o.mesh.vertices.max(axis=0) for o in poses], axis=0)
+    return low, high
+
+
 def centre(objects: Sequence[SceneObject]) -> np.ndarray:
     """Middle of the virtual objects' bounds (of all objects, where none is virtual), rounded to a power
     of two of their size, so that a scene moved by such steps gives the same bits.
@@ -144,13 +157,7 @@ def centre(objects: Sequence[SceneObject]) -> np.ndarray:
     Floats are finest round the origin, and everything that changes happens near virtual objects: round
     the middle of a floor of kilometres a ray would start millimetres off its surface.
     """
-    if not objects:
-        return np.zeros(3)
-    chosen = [o for o in objects if o.virtual] or objects
-    # Of what moves, where it is at every key: one origin for all frames.
-    poses = [o.at(key) for o in chosen for key in (o.motion.frames if o.motion is not None else (0,))]
-    low = np.min([o.mesh.vertices.min(axis=0) for o in poses], axis=0)
-    high = np.max([o.mesh.vertices.max(axis=0) for o in poses], axis=0)
+    low, high = virtual_bounds(objects)
     size = float(np.max(high - low))
     if size == 0.0:
         return (low + high) / 2

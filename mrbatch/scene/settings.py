@@ -41,6 +41,7 @@ from mrbatch.scene.material_settings import (
     to_tuple,
 )
 from mrbatch.scene.matrix_settings import Matrix3, Matrix4, check_rotation
+from mrbatch.scene.proxy_settings import Proxy
 
 Scale3 = Annotated[
     Vector3,
@@ -73,6 +74,13 @@ class Environment(Settings):
     align: Alignment | None = Field(
         None, description="Directions marked in the map and known in the world; instead of `yaw`"
     )
+    position: Position | None = Field(
+        None,
+        description="Where the map was made, in the world: lengths; without `proxy` it is only warned of",
+    )
+    proxy: Proxy | None = Field(
+        None, description="Walls that the map is projected onto, to be seen from the virtual objects"
+    )
     scale: Positive = Field(1.0, description="Factor on the map's radiance, 0 or more")
     interpolation: Literal["bilinear", "nearest"] = Field(
         "bilinear", description="How radiance is read between the map's texels"
@@ -91,6 +99,12 @@ class Environment(Settings):
         if value is not None and value.directions is not None and "rows" in info.data:
             value.solved(info.data["rows"])
         return value
+
+    @model_validator(mode="after")
+    def _made_somewhere(self) -> Environment:
+        if self.proxy is not None and self.position is None:
+            raise ValueError("`proxy` needs `position`: where the map was made")
+        return self
 
     @model_validator(mode="after")
     def _one_rotation(self) -> Environment:
