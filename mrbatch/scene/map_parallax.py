@@ -19,9 +19,10 @@ from mrbatch.errors import InputError, Place
 from mrbatch.scene.environment import Environment
 from mrbatch.scene.proxy_settings import Proxy
 
-SIDE = 4
-"""A texel is the mean of so many directions squared, equal in solid angle: no lamp of one texel is missed."""
-CHUNK = 2**18
+SIDES = (4, 2)
+"""A texel is the mean of so many directions squared, equal in solid angle, so that no lamp of one texel is
+missed: of maps up to 1024 wide, and of wider ones, where a lamp is several texels."""
+CHUNK = 2**16
 """Texels that are drawn at a time."""
 
 
@@ -37,7 +38,7 @@ def _hit(proxy: Proxy, origin: np.ndarray, d: np.ndarray) -> np.ndarray:
     ball = proxy.sphere or proxy.dome
     assert ball is not None
     o = origin - np.array(ball.centre)
-    b = d @ o
+    b = np.einsum("nk,k->n", d, o)
     far: np.ndarray = -b + np.sqrt(b**2 + (ball.radius**2 - o @ o))
     if proxy.dome is not None:
         with np.errstate(divide="ignore"):
@@ -94,6 +95,7 @@ def seen_from(
     height, width = environment.height, environment.width
     turn = environment.world_from_map
     radiance = np.empty((height, width, 3), np.float32)
+    side = SIDES[width > 1024]
     rows = max(1, CHUNK // width)
     moved, nearest = 0.0, np.inf
     for first in range(0, height, rows):
@@ -101,11 +103,11 @@ def seen_from(
         total = np.zeros((count * width, 3))
         # Directions of equal solid angle: even in z within a row.
         edges = np.cos(np.pi * np.arange(first, first + count + 1) / height)
-        for i in range(SIDE):
-            z = edges[:-1] + (edges[1:] - edges[:-1]) * (i + 0.5) / SIDE
+        for i in range(side):
+            z = edges[:-1] + (edges[1:] - edges[:-1]) * (i + 0.5) / side
             ring = np.sqrt(np.maximum(1.0 - z**2, 0.0))
-            for j in range(SIDE):
-                azimuth = 2.0 * np.pi * (0.5 - (np.arange(width) + (j + 0.5) / SIDE) / width)
+            for j in range(side):
+                azimuth = 2.0 * np.pi * (0.5 - (np.arange(width) + (j + 0.5) / side) / width)
                 d = np.stack(
                     [
                         ring[:, None] * np.cos(azimuth),
@@ -114,14 +116,15 @@ def seen_from(
                     ],
                     axis=-1,
                 ).reshape(-1, 3)
-                out = d @ turn.T
+                out = np.einsum("nk,jk->nj", d, turn)  # not by BLAS, whose bits are the machine's
                 along = _hit(proxy, middle, out)
                 seen = middle + along[:, None] * out - position
-                total += _read(environment, seen @ turn)
-                cosine = np.einsum("nk,nk->n", seen, out) / np.linalg.norm(seen, axis=1)
-                moved = max(moved, float(np.arccos(np.clip(cosine.min(), -1.0, 1.0))))
+                total += _read(environment, np.einsum("nk,kj->nj", seen, turn))
+                if i == j == 0:
+                    cosine = np.einsum("nk,nk->n", seen, out) / np.linalg.norm(seen, axis=1)
+                    moved = max(moved, float(np.arccos(np.clip(cosine.min(), -1.0, 1.0))))
                 nearest = min(nearest, float(along.min()))
-        radiance[first : first + count] = (total / SIDE**2).reshape(count, width, 3)
+        radiance[first : first + count] = (total / side**2).reshape(count, width, 3)
     away = float(np.linalg.norm(middle - position))
     left = np.degrees(np.arctan2(0.5 * size, nearest))
     note = (
