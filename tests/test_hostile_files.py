@@ -27,6 +27,8 @@ from mrbatch.capture.marker_video.pose_file import load_poses
 from mrbatch.capture.marker_video.settings import MatteSettings
 from mrbatch.errors import InputError, MrbatchError
 from mrbatch.scene.build import _texture
+from mrbatch.scene.depth_map import load_depth_mesh
+from mrbatch.scene.depth_settings import DepthMap
 from mrbatch.scene.environment import load_environment
 from mrbatch.scene.mesh import icosphere
 from mrbatch.scene.mesh_file import load_mesh
@@ -86,6 +88,29 @@ def usable_texture(path: Path) -> None:
     assert np.isfinite(pixels).all() and pixels.min() >= 0.0 and pixels.max() <= 1.0
 
 
+def depth(path: Path) -> None:
+    values = np.random.default_rng(1).uniform(1.0, 1.01, (12, 16)).astype(np.float32)
+    if path.suffix == ".npy":
+        np.save(path, values)
+        return
+    kind = "uint16" if path.suffix == ".png" else "float"
+    values = np.round(1e4 * values).astype(np.uint16) if kind == "uint16" else values
+    out = oiio.ImageOutput.create(str(path))
+    assert out.open(str(path), oiio.ImageSpec(16, 12, 1, kind)) and out.write_image(values) and out.close()
+
+
+def usable_depth(path: Path) -> None:
+    own = {
+        "matrix": [[20.0, 0.0, 8.0], [0.0, 20.0, 6.0], [0.0, 0.0, 1.0]],
+        "world_from_camera": np.eye(4).tolist(),
+    }
+    settings = {"file": str(path), "measures": "z", "camera": own}
+    unit = "0.1 mm" if path.suffix == ".png" else "1 m"
+    mesh, _ = load_depth_mesh(DepthMap.model_validate({**settings, "unit": unit}), None)
+    assert np.isfinite(mesh.vertices).all() and len(mesh.faces) > 0
+    assert mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
+
+
 def usable_mesh(path: Path) -> None:
     mesh = load_mesh(path)
     assert np.isfinite(mesh.vertices).all() and len(mesh.faces) > 0
@@ -137,6 +162,9 @@ READERS = [
     Reader("t.exr", picture("exr", "float"), usable_texture),
     Reader("m_0000.png", picture("png", "uint8", 1), usable_matte),
     Reader("m_0000.exr", picture("exr", "half", 1), usable_matte),
+    Reader("d.png", depth, usable_depth),
+    Reader("d.exr", depth, usable_depth),
+    Reader("d.npy", depth, usable_depth),
     Reader("ball.ply", ball("ply"), usable_mesh),
     Reader("ball.obj", ball("obj"), usable_mesh),
     Reader("ball.glb", ball("glb"), usable_mesh),

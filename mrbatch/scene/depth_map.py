@@ -55,7 +55,8 @@ def load_depth(path: Path) -> np.ndarray:
             place=place,
             hint="write one channel, or call it Z",
         )
-    return values[..., 0].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one, a hole like others
+        return values[..., 0].astype(np.float64)
 
 
 def _load_npy(path: Path, place: Place) -> np.ndarray:
