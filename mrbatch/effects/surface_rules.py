@@ -60,6 +60,20 @@ def _transmission(facts: ShotFacts) -> Verdict:
     return needed("virtual objects that let light through", objects=len(clear))
 
 
+def _alpha(facts: ShotFacts) -> Verdict:
+    cut = [o for o in facts.scene.virtual if o.material.cut_out]
+    if not cut:
+        return absent("every virtual object is there as a whole: opacity 1 all over")
+    return needed("virtual objects that are there in part", objects=len(cut))
+
+
+def _thin_glass(facts: ShotFacts) -> Verdict:
+    panes = [o for o in facts.scene.virtual if o.material.kind == "thin_dielectric"]
+    if not panes:
+        return absent("no virtual object is thin glass")
+    return needed("virtual objects of thin glass, which light passes straight on", objects=len(panes))
+
+
 def _holdout(facts: ShotFacts) -> Verdict:
     if not any(o.holdout for o in facts.scene.objects):
         return absent("no object is a holdout")
@@ -107,6 +121,8 @@ TEXTURES = Rule("textures", "reflectance that varies over a surface", _textures)
 NORMAL_MAPS = Rule("normal-maps", "shading normals from a map", _normal_maps)
 EMISSION = Rule("emission", "light that virtual objects send of themselves", _emission)
 TRANSMISSION = Rule("transmission", "light through glass and the like", _transmission)
+ALPHA = Rule("alpha", "surfaces that are there in part, by opacity or cut out", _alpha)
+THIN_GLASS = Rule("thin-glass", "light straight through thin panes", _thin_glass)
 HOLDOUT = Rule("holdout", "objects that show the photo, untouched, and hide virtual ones", _holdout)
 DISTORTION = Rule("lens-distortion", "distortion of the lens on the virtual layer", _distortion)
 ENVIRONMENT = Rule("environment-light", "light from the environment map", _environment)
@@ -120,6 +136,8 @@ PATH_RULES = (
     GLOSSY,
     EMISSION,
     TRANSMISSION,
+    ALPHA,
+    THIN_GLASS,
     NORMAL_MAPS,
     TEXTURES,
     PHOTO_REFLECTANCE,

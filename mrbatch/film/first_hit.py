@@ -23,7 +23,9 @@ from mrbatch.kernels.camera import CameraData, make_camera
 from mrbatch.kernels.rng import make_sampler, pixel_key
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, DeviceScene, SceneData, surface_point
+from mrbatch.scene.see_through import DIM_STOP, make_see_through
 from mrbatch.scene.shading import ShadingFlags, make_surface
 
 SAMPLES = wp.constant(wp.int32(32))
@@ -102,7 +104,10 @@ def _make_kernel(
     trace = rays(engine).trace
     camera = make_camera(model, distortion)  # type: ignore[arg-type]
     camera_ray, camera_project = camera.ray, camera.project
-    sample_2d = make_sampler("owen").sample_2d
+    sampler = make_sampler("owen")
+    sample_2d = sampler.sample_2d
+    see_through = make_see_through(shading, trace, make_ray_start(), sampler.sample_1d)
+    stop_at = see_through.stop
     offset = make_pixel_filter(pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(shading, camera)
     surface_at, normal_at = surfaces.surface, surfaces.normal
@@ -130,6 +135,7 @@ def _make_kernel(
         albedo = wp.vec3(0.0, 0.0, 0.0)
         motion = wp.vec2(0.0, 0.0)
         hits = int(0)
+        further = int(0)
         weight = 1.0 / float(SAMPLES)
         for n in range(int(SAMPLES)):
             shift = offset(sample_2d(key, n, 0))
@@ -138,6 +144,10 @@ def _make_kernel(
             primary = camera_ray(frame.camera, x, y)
             if primary.ok:
                 hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
+                if wp.static(see_through.on):
+                    stop = stop_at(scene, scene.camera_set, hit, primary.direction, key, n, DIM_STOP)
+                    hit = stop.hit
+                    further += stop.rays
                 if hit.triangle >= 0:
                     point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
                     flags = point.flags
@@ -172,7 +182,7 @@ def _make_kernel(
         if wp.static(wants.motion):
             if hits > 0:
                 out.motion[pixel.index] = motion / float(hits)
-        wp.atomic_add(counters, 0, wp.int64(int(SAMPLES)))
+        wp.atomic_add(counters, 0, wp.int64(int(SAMPLES) + further))
 
     return first_hit
 
@@ -216,6 +226,8 @@ def first_hit_pass(
         textures=shading.textures and wants.albedo,
         photo=shading.photo and wants.albedo,
         normal_maps=shading.normal_maps and wants.normal,
+        cutouts=shading.cutouts,
+        panes=shading.panes,
     )
     kernel = _make_kernel(wants, scene.engine, view.model, distortion, pixel_filter, shading)
     return pixel_pass(

@@ -22,7 +22,9 @@ from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.rng import make_sampler, pixel_key
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, DeviceScene, SceneData, surface_point
+from mrbatch.scene.see_through import DIM_STOP, make_see_through
 from mrbatch.scene.shading import ShadingFlags, make_surface
 
 SAMPLES = wp.constant(wp.int32(32))
@@ -91,7 +93,10 @@ def _make_kernel(
     trace = rays(engine).trace
     camera = make_camera(model, distortion)  # type: ignore[arg-type]
     camera_ray = camera.ray
-    sample_2d = make_sampler("owen").sample_2d
+    sampler = make_sampler("owen")
+    sample_2d = sampler.sample_2d
+    see_through = make_see_through(shading, trace, make_ray_start(), sampler.sample_1d)
+    stop_at = see_through.stop
     offset = make_pixel_filter(pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(shading, camera)
     reflectance_at, normal_at = surfaces.reflectance, surfaces.normal
@@ -115,6 +120,7 @@ def _make_kernel(
             return
         key = pixel_key(frame.seed, frame.frame, frame.view, 0, pixel.x, pixel.y)
         hits = wp.vec2i(0, 0)
+        further = int(0)
         owner = wp.vec2i(0, 0)
         for n in range(int(SAMPLES)):
             shift = offset(sample_2d(key, n, 0))
@@ -123,6 +129,10 @@ def _make_kernel(
             primary = camera_ray(frame.camera, x, y)
             if primary.ok:
                 hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
+                if wp.static(see_through.on):
+                    stop = stop_at(scene, scene.camera_set, hit, primary.direction, key, n, DIM_STOP)
+                    hit = stop.hit
+                    further += stop.rays
                 if hit.triangle >= 0:
                     point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
                     side = int(1)
@@ -145,7 +155,7 @@ def _make_kernel(
             out.normal[side, pixel.index] = out.normal[side, pixel.index] * weight
             out.position[side, pixel.index] = out.position[side, pixel.index] * weight
             out.reflectance[side, pixel.index] = out.reflectance[side, pixel.index] * weight
-        wp.atomic_add(counters, 0, wp.int64(int(SAMPLES)))
+        wp.atomic_add(counters, 0, wp.int64(int(SAMPLES) + further))
 
     return guides
 
@@ -164,7 +174,13 @@ def guide_pass(
     """
     if NEED not in outputs.needs:
         return None
-    shading = ShadingFlags(textures=shading.textures, photo=shading.photo, normal_maps=shading.normal_maps)
+    shading = ShadingFlags(
+        textures=shading.textures,
+        photo=shading.photo,
+        normal_maps=shading.normal_maps,
+        cutouts=shading.cutouts,
+        panes=shading.panes,
+    )
     kernel = _make_kernel(scene.engine, view.model, distortion, pixel_filter, shading)
 
     def inputs(context: Any) -> list[Any]:

@@ -62,6 +62,8 @@ def camera_path_flags(
             normal_maps=on("normal-maps"),
             emission=on("emission"),
             transmission=on("transmission"),
+            cutouts=on("alpha"),
+            panes=on("thin-glass"),
         ),
         "unreceptive": on("receive-switch"),
         "pixel_filter": settings.pixel_filter,

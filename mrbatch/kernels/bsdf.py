@@ -1,11 +1,13 @@
-"""Scattering of surfaces: diffuse (Lambert), conductor (single-scattering GGX), principled, dielectric.
+"""Scattering of surfaces: diffuse (Lambert), conductor (single-scattering GGX), principled, dielectric, pane.
 
 Local frame: z is the shading normal; `wo` (to the viewer) and `wi` (to the light) are unit and point
 away from the surface. A caller who wants two sides flips the frame to the viewer first. Below the
 horizon, `wo.z <= 0` or `wi.z <= 0`, every kind gives exactly 0, diffuse too: a Lambert lobe that
 ignored the side of `wo` would be brighter at rims of interpolated normals, but would not be
 reciprocal there, and would disagree with other renderers, which cut it as well. Only a dielectric
-(`mrbatch.kernels.dielectric`) lets light through, from directions with `wi.z < 0`.
+(`mrbatch.kernels.dielectric`) lets light through, from directions with `wi.z < 0`. A thin one scatters
+what it returns (`mrbatch.kernels.thin_dielectric`): whoever stops at one did so as often as light does not
+pass, so that a sample's weight is the returned share of that.
 
 Conductor: D is GGX (Walter et al. 2007, eq. 33), masking is Smith's, Fresnel is the constant
 `reflectance` (a perfect conductor times a tint; white metal is reflectance 1). Only light that leaves
@@ -43,11 +45,12 @@ from typing import Any, Literal
 
 import warp as wp
 
-from mrbatch.kernels.dielectric import make_dielectric
+from mrbatch.kernels.dielectric import CERTAIN, make_dielectric
 from mrbatch.kernels.fresnel import f82_mean, f82_tint, fifth
 from mrbatch.kernels.ggx import ALPHA_MIN, ggx_distribution, ggx_slope_term
 from mrbatch.kernels.ggx_albedo import ggx_albedo, ggx_albedo_mean
 from mrbatch.kernels.sampling import cosine_hemisphere, ggx_visible_normal
+from mrbatch.kernels.thin_dielectric import pane_shares
 
 Masking = Literal["height-correlated", "separable"]
 
@@ -55,7 +58,8 @@ DIFFUSE = wp.constant(0)
 CONDUCTOR = wp.constant(1)
 PRINCIPLED = wp.constant(2)
 DIELECTRIC = wp.constant(3)
-KINDS = {"diffuse": 0, "conductor": 1, "principled": 2, "dielectric": 3}
+THIN_DIELECTRIC = wp.constant(4)
+KINDS = {"diffuse": 0, "conductor": 1, "principled": 2, "dielectric": 3, "thin_dielectric": 4}
 """Number of each kind of surface, as `Surface.kind` holds it."""
 
 _INV_PI = wp.constant(wp.float32(1.0 / math.pi))
@@ -67,7 +71,8 @@ class Surface:
 
     Principled: `reflectance` is the base colour; `metalness` 0..1; `f0` reflectance of the dielectric
     interface at normal incidence; `edge` tint of metal at 82 degrees, 0..1. Dielectric: `eta`, index of
-    refraction behind the surface over that on the viewer's side.
+    refraction behind the surface over that on the viewer's side. Thin dielectric: `eta` of the glass,
+    `reflectance` is its colour.
     """
 
     kind: wp.int32
@@ -149,6 +154,7 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
     has_conductor = "conductor" in kinds
     has_principled = "principled" in kinds
     has_dielectric = "dielectric" in kinds
+    has_thin = "thin_dielectric" in kinds
     several = len(kinds) > 1
     correlated = masking == "height-correlated"
     glass = make_dielectric(correlated)
@@ -197,6 +203,16 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
         if wi[2] > 0.0:
             sample.weight = s.reflectance
             sample.pdf = _INV_PI * wi[2]
+        return sample
+
+    @wp.func(name=f"thin_sample_{tag}")
+    def thin_sample(s: Surface, wo: wp.vec3) -> BsdfSample:
+        sample = BsdfSample()
+        pane = pane_shares(wo[2], s.eta, s.reflectance)
+        if pane.stops > 0.0:
+            sample.wi = wp.vec3(-wo[0], -wo[1], wo[2])
+            sample.weight = pane.returned / pane.stops
+            sample.pdf = CERTAIN
         return sample
 
     @wp.func(name=f"principled_layers_{tag}")
@@ -346,6 +362,9 @@ def _make_bsdf(kinds: frozenset[str], masking: Masking) -> Bsdf:
                     drawn.wi = bent.wi
                     drawn.weight = s.reflectance * bent.weight
                     drawn.pdf = bent.pdf
+            if wp.static(has_thin):
+                if s.kind == THIN_DIELECTRIC:
+                    drawn = thin_sample(s, wo)
         return drawn
 
     return Bsdf(kinds, masking, evaluate, pdf, sample)

@@ -34,7 +34,8 @@ from mrbatch.kernels.fresnel import fresnel_dielectric
 from mrbatch.kernels.ggx import ggx_distribution, ggx_slope_term
 from mrbatch.kernels.sampling import ggx_visible_normal
 
-_CERTAIN = wp.constant(wp.float32(float("inf")))
+CERTAIN = wp.constant(wp.float32(float("inf")))
+"""Density of a direction that is the only one."""
 _LAST = wp.constant(wp.float32(1.0 - 2.0**-24))
 
 
@@ -148,12 +149,12 @@ def make_dielectric(correlated: bool) -> DielectricFunctions:
             if u[0] < p:
                 drawn.wi = wp.vec3(-wo[0], -wo[1], wo[2])
                 drawn.weight = 1.0
-                drawn.pdf = _CERTAIN
+                drawn.pdf = CERTAIN
             else:
                 drawn.wi = refract(wo, wp.vec3(0.0, 0.0, 1.0), eta)
                 if drawn.wi[2] < 0.0:
                     drawn.weight = 1.0 / (eta * eta)
-                    drawn.pdf = _CERTAIN
+                    drawn.pdf = CERTAIN
             return drawn
         p = _reflecting(wo, eta)
         # The second number chooses the way, and what is left of it is used again.

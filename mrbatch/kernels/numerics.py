@@ -26,6 +26,12 @@ def max_component(a: wp.vec3) -> float:
 
 
 @wp.func
+def min_component(a: wp.vec3) -> float:
+    """Smallest of the three components."""
+    return wp.min(wp.min(a[0], a[1]), a[2])
+
+
+@wp.func
 def luminance(a: wp.vec3) -> float:
     """Relative luminance of linear Rec.709 (ITU-R BT.709-6, item 3.2)."""
     return 0.2126 * a[0] + 0.7152 * a[1] + 0.0722 * a[2]

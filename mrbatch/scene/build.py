@@ -28,11 +28,20 @@ from mrbatch.scene.mesh import Mesh, box, concatenate, icosphere, plane
 from mrbatch.scene.mesh_file import Part, load_mesh, load_parts
 from mrbatch.scene.metals import metal_colours
 from mrbatch.scene.motion import ALWAYS, Motion, Still
-from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre, virtual_bounds
+from mrbatch.scene.opacity import given_opacity
+from mrbatch.scene.scene import (
+    POLISHED,
+    Material,
+    Scene,
+    SceneObject,
+    Texture,
+    absorption,
+    centre,
+    virtual_bounds,
+)
 from mrbatch.scene.stored_picture import check_finite, colour_channels, primaries_of, read_stored
 
 SPHERE_SUBDIVISIONS = 6
-POLISHED = 1e-3
 
 CameraOf = Callable[[int], Camera]
 """The camera of a frame, with its pose; raises InputError for a frame that has none."""
@@ -110,6 +119,9 @@ def scene_files(
         reflectance = getattr(look, "reflectance", None)
         if isinstance(reflectance, looks.Texture):
             files.append(reflectance.texture)
+        opacity = getattr(item, "opacity", None)
+        if isinstance(opacity, looks.OpacityTexture):
+            files.append(opacity.texture)
     return files
 
 
@@ -177,17 +189,24 @@ def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ..
     material = _surface(look)
     if item.emission is not None:
         material = replace(material, emission=item.emission)
+    material = given_opacity(material, item.opacity)
     found = _object(item, material, _shape(item), virtual=True, holdout=item.holdout)
-    return [_as_a_medium(found) if material.kind == "dielectric" else (found, ())]
+    return [_told(found)]
 
 
-def _as_a_medium(item: SceneObject) -> tuple[SceneObject, tuple[str, ...]]:
-    """A clear object, and what has to be said of it."""
+def _told(item: SceneObject) -> tuple[SceneObject, tuple[str, ...]]:
+    """The object, and what has to be said of one that light passes."""
     look = item.material
-    if look.ior == 1.0 and not any(look.absorption) and not look.most_emission.any():
-        note = f"`{item.name}` is clear and has the index of refraction of air: it cannot be seen"
+    unseen = ""
+    if look.opacity == 0.0:
+        unseen = "has the opacity 0"
+    if look.kind in ("dielectric", "thin_dielectric") and look.ior == 1.0 and not look.most_emission.any():
+        if not any(look.absorption) and look.reflectance == (1.0, 1.0, 1.0):
+            unseen = "is clear and has the index of refraction of air"
+    if unseen:
+        note = f"`{item.name}` {unseen}: it cannot be seen"
         return replace(item, camera=False, cast_shadow=False), (note,)
-    if not item.mesh.is_closed():
+    if look.kind == "dielectric" and not item.mesh.is_closed():
         return item, (f"the mesh of `{item.name}` is not closed: light that goes in may not come out of it",)
     return item, ()
 
@@ -202,28 +221,38 @@ def _as_its_file_says(item: given.VirtualObject, path: Path) -> list[tuple[Scene
     found: list[tuple[SceneObject, tuple[str, ...]]] = []
     for parts in groups.values():
         mesh = _shaded(concatenate([part.mesh for part in parts]), item)
-        material, left_out = material_from_gltf(parts[0].material, place)
+        material, left_out = material_from_gltf(parts[0].material, place, parts[0].extensions)
         name = str(getattr(parts[0].material, "name", None) or "")
-        notes = (f"{path.name}: {', '.join(left_out)} of its material left out",) if left_out else ()
-        if item.emission is not None:
-            material = replace(material, emission=item.emission, emission_texture=None)
         if mesh.uvs is None:
             material = replace(
-                material, texture=None, surface_texture=None, normal_texture=None, emission_texture=None
+                material,
+                texture=None,
+                surface_texture=None,
+                normal_texture=None,
+                emission_texture=None,
+                opacity_texture=None,
             )
+        if material.kind == "principled":
+            if item.emission is not None:
+                material = replace(material, emission=item.emission, emission_texture=None)
+            material = given_opacity(material, item.opacity)
+        elif item.emission is not None or item.opacity is not None:
+            left_out += ("what the job says of opacity and emission",)
+        notes = (f"{path.name}: {', '.join(left_out)} of its material left out",) if left_out else ()
         material = replace(material, name=name or item.name)
-        found.append((_object(item, material, mesh, virtual=True, holdout=item.holdout), notes))
+        built, more = _told(_object(item, material, mesh, virtual=True, holdout=item.holdout))
+        found.append((built, notes + more))
     return found
 
 
 def _object(
     item: given.Object, material: Material, mesh: Mesh, *, virtual: bool, holdout: bool
 ) -> SceneObject:
-    if material.texture is not None and mesh.uvs is None:
+    if (material.texture is not None or material.opacity_texture is not None) and mesh.uvs is None:
         raise InputError(
             f"the object `{item.name}` has a texture, but its mesh has no texture coordinates",
             place=Place(file=str(item.mesh)) if item.mesh else None,
-            hint="give the mesh UVs, or a constant reflectance",
+            hint="give the mesh UVs, or a number in place of the texture",
         )
     motion = _motion(item) if isinstance(item, given.VirtualObject) else None
     matrix = item.transform.world_from_object() if motion is None else motion.world_from_object(-np.inf)
@@ -283,6 +312,8 @@ def _shaded(mesh: Mesh, item: given.Object) -> Mesh:
 
 def _surface(look: looks.Material) -> Material:
     """Of what a job gives as a material."""
+    if isinstance(look, looks.Dielectric) and look.thin:
+        return Material("thin_dielectric", look.colour, 0.0, name=look.name or "", ior=look.ior)
     if isinstance(look, looks.Dielectric):
         return Material(
             "dielectric",
@@ -291,7 +322,7 @@ def _surface(look: looks.Material) -> Material:
             0.0 if look.roughness < POLISHED else look.roughness,
             name=look.name or "",
             ior=look.ior,
-            absorption=tuple(-math.log(c) / look.depth for c in look.colour),  # type: ignore[arg-type]
+            absorption=absorption(look.colour, look.depth),
             priority=look.priority,
         )
     if isinstance(look, looks.Conductor) and look.preset is not None:

@@ -93,6 +93,19 @@ def picture_files(path: Path, header: dict[str, Any]) -> dict[str, Path]:
     return found
 
 
+def material_extensions(header: dict[str, Any]) -> dict[str | None, dict[str, Any]]:
+    """What extensions say of the file's materials, by the name (None: without one) that one of them has."""
+    found: dict[str | None, dict[str, Any]] = {}
+    entries = header.get("materials")
+    materials = [m for m in entries if isinstance(m, dict)] if isinstance(entries, list) else []
+    names = [m.get("name") if isinstance(m.get("name"), str) else None for m in materials]
+    for name, material in zip(names, materials):
+        extensions = material.get("extensions")
+        if isinstance(extensions, dict) and names.count(name) == 1:
+            found[name] = {k: v for k, v in extensions.items() if isinstance(v, dict)}
+    return found
+
+
 def further_files(path: Path) -> list[Path]:
     """Files beside a mesh file that belong to it: a glTF's buffers, and its pictures where they are there.
 

@@ -29,6 +29,7 @@ from mrbatch.scene.light_candidates import make_light_direction
 from mrbatch.scene.media import Media, crossed, enters, index_of, medium_of, passed
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import RECEIVE, SceneData, SurfacePoint, surface_point
+from mrbatch.scene.see_through import DIM_STOP, STOPS, make_see_through
 from mrbatch.scene.shading import PhotoReflectance, ShadingFlags, make_surface
 
 DIM_PIXEL = wp.constant(wp.int32(0))
@@ -150,6 +151,8 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at, emission_at = surfaces.surface, surfaces.normal, surfaces.emission
     ray_start = make_ray_start(flags.ray_start)
+    see_through = make_see_through(flags.shading, trace, ray_start, sample_1d)
+    stop_at, transmittance = see_through.stop, see_through.transmittance
     sample_light = flags.strategy in ("mis", "environment")
     weigh = flags.strategy == "mis"
 
@@ -201,14 +204,23 @@ def make_paths(flags: PathFlags) -> PathFuncs:
         return wp.clamp(max_component(throughput), ROULETTE_LEAST, ROULETTE_MOST)
 
     @wp.func
-    def follow(scene: SceneData, among: RaySet, first: Hit, direction: wp.vec3, media: Media) -> Onward:
+    def follow(
+        scene: SceneData,
+        among: RaySet,
+        first: Hit,
+        direction: wp.vec3,
+        media: Media,
+        key: wp.uint64,
+        index: int,
+        edges: int,
+    ) -> Onward:
         """On from a ray's first hit, through boundaries at which the medium stays the same."""
         onward = Onward()
         onward.hit = first
         onward.media = media
         onward.passed = wp.vec3(1.0, 1.0, 1.0)
         medium = medium_of(scene, media)
-        for _ in range(wp.static(MOST_UNSEEN)):
+        for number_of in range(wp.static(MOST_UNSEEN)):
             if onward.hit.triangle < 0:
                 break
             onward.passed = wp.cw_mul(onward.passed, passed(scene, medium, onward.hit.t))
@@ -222,6 +234,12 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             onward.media = beyond
             onward.rays += 1
             onward.hit = trace(among, ray_start(scene, point, direction), direction, FAR)
+            if wp.static(see_through.on):
+                dimension = DIM_STOP + STOPS * edges + 1 + number_of
+                stop = stop_at(scene, among, onward.hit, direction, key, index, dimension)
+                onward.hit = stop.hit
+                onward.rays += stop.rays
+                onward.passed = wp.cw_mul(onward.passed, stop.share)
         return onward
 
     @wp.func
@@ -300,7 +318,14 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                         if max_component(value) > 0.0:
                             leg.shadow_rays += 1
                             o = ray_start(scene, point, light.direction)
-                            if not occluded(scene_set, o, light.direction, FAR):
+                            if wp.static(see_through.on):
+                                through = transmittance(scene, scene_set, o, light.direction, FAR)
+                                leg.shadow_rays += through.rays - 1
+                                value = wp.cw_mul(value, through.share)
+                                open = max_component(through.share) > 0.0
+                            else:
+                                open = not occluded(scene_set, o, light.direction, FAR)
+                            if open:
                                 leg.lookups += 1
                                 w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
                                 w *= light.share
@@ -323,10 +348,15 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             leg.scatter_rays += 1
             o = ray_start(scene, point, d)
             hit = trace(scene_set, o, d, FAR)
+            if wp.static(see_through.on):
+                stop = stop_at(scene, scene_set, hit, d, key, index, DIM_STOP + STOPS * edges)
+                hit = stop.hit
+                leg.scatter_rays += stop.rays
+                throughput = wp.cw_mul(throughput, stop.share)
             if wp.static(flags.shading.transmission):
                 if clear and drawn.wi[2] < 0.0:
                     media = beyond
-                onward = follow(scene, scene_set, hit, d, media)
+                onward = follow(scene, scene_set, hit, d, media, key, index, edges)
                 hit = onward.hit
                 media = onward.media
                 leg.scatter_rays += onward.rays

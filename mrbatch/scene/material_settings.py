@@ -38,6 +38,25 @@ class Texture(Settings):
     )
 
 
+class OpacityTexture(Settings):
+    """Opacity that varies over the surface: a picture looked up at the mesh's UV."""
+
+    texture: InputPath = Field(description="The picture; u runs right, v up, 0..1 over the picture")
+    channel: Literal["auto", "alpha", "red"] = Field(
+        "auto",
+        description="Channel that holds it, code values as they are; `auto`: alpha if it has one, else red",
+    )
+    cutoff: Annotated[Number, Field(gt=0.0, le=1.0)] | None = Field(
+        None, description="From this value on the surface is there, below not at all; none: in part"
+    )
+
+
+ConstantOrOpacityTexture = Annotated[
+    Annotated[Reflectance, Tag("<constant>")] | Annotated[OpacityTexture, Tag("<texture>")],
+    Discriminator(lambda value: "<texture>" if isinstance(value, (dict, OpacityTexture)) else "<constant>"),
+]
+
+
 def _reflectance_tag(value: Any) -> str:
     if isinstance(value, (dict, Texture)):
         return "<texture>"
@@ -126,7 +145,7 @@ Left = Annotated[Number, Field(gt=0.0, le=1.0)]
 
 
 class Dielectric(Settings):
-    """Glass, water, gems: a closed mesh full of a clear or coloured medium."""
+    """Glass, water, gems: a closed mesh full of a clear or coloured medium; or a thin pane of glass."""
 
     type: Literal["dielectric"] = Field("dielectric", description="Kind of material")
     name: Name | None = Field(
@@ -140,7 +159,8 @@ class Dielectric(Settings):
     )
     colour: Annotated[tuple[Left, Left, Left], BeforeValidator(to_triple)] = Field(
         (1.0, 1.0, 1.0),
-        description="Share of light that is left after `depth` of the medium, above 0..1: grey or [r, g, b]",
+        description="Share of light that is left after `depth` of the medium, above 0..1: grey or [r, g, b]; "
+        "of a thin pane: after one way through it, straight on",
     )
     depth: PositiveLength = Field(
         0.1, description="Length of the way after which `colour` is left: a length above 0"
@@ -149,6 +169,20 @@ class Dielectric(Settings):
         0,
         description="Where media overlap the one of highest priority is there: let glass beat its water",
     )
+    thin: bool = Field(
+        False,
+        description="Whether each surface of the mesh is a pane by itself, which light passes without being "
+        "bent: windows, bubbles; polished, without `depth`, `roughness` and `priority`",
+    )
+
+    @model_validator(mode="after")
+    def _pane(self) -> Dielectric:
+        fields = type(self).model_fields
+        unused = [k for k in ("roughness", "depth", "priority") if getattr(self, k) != fields[k].default]
+        if self.thin and unused:
+            named = ", ".join(f"`{key}`" for key in unused)
+            raise ValueError(f"thin glass has no {named}: leave it out, or `thin`")
+        return self
 
 
 Material = Annotated[Diffuse | Conductor | Principled | Dielectric, Field(discriminator="type")]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from mrbatch.errors import InputError, Place, ResourceError
 from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
-from mrbatch.scene.gltf_header import check_gltf_header, picture_files, read_gltf_header
+from mrbatch.scene.gltf_header import check_gltf_header, material_extensions, picture_files, read_gltf_header
 from mrbatch.scene.mesh import Mesh, concatenate, normals_or_up
 from mrbatch.scene.ply_header import check_ply_header
 
@@ -33,10 +34,12 @@ def load_mesh(path: str | Path) -> Mesh:
 
 @dataclass(frozen=True)
 class Part:
-    """A mesh of a file, placed by its node, and the file's own description of its material (or None)."""
+    """A mesh of a file, placed by its node, and the file's own description of its material (or None), with
+    what extensions of glTF say of it."""
 
     mesh: Mesh
     material: Any
+    extensions: Mapping[str, Any] = field(default_factory=dict)
 
 
 def load_parts(path: str | Path, *, pictures: bool = False) -> list[Part]:
@@ -78,6 +81,12 @@ def load_parts(path: str | Path, *, pictures: bool = False) -> list[Part]:
         Part(_from_trimesh(part, matrix, suffix, place), getattr(part.visual, "material", None))
         for part, matrix in _read(path, suffix, place, pictures)
     ]
+    if pictures and suffix in GLTF_SUFFIXES:
+        extensions = material_extensions(read_gltf_header(path, place))
+        parts = [
+            replace(part, extensions=extensions.get(part.material.name, {})) if part.material else part
+            for part in parts
+        ]
     triangles = sum(len(part.mesh.faces) for part in parts)
     dropped = sum(part.mesh.dropped for part in parts)
     if triangles + dropped == 0:

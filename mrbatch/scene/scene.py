@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,6 +13,8 @@ from mrbatch.scene.mesh import Mesh
 from mrbatch.scene.motion import Motion, Still
 
 MAX_TRIANGLES = 2**31 - 1
+POLISHED = 1e-3
+"""GGX alpha below which glass counts as smooth."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,10 @@ class Material:
     normals in the frame of u, v and the surface's own, of any length. `emission` (3,): radiance that the
     surface sends of itself, to both sides, in the map's units; `emission_texture` in place of it. Of kind
     "dielectric": index of refraction `ior` of what a closed mesh is full of, its `absorption` (3,) in 1/m,
-    and its `priority` where media overlap.
+    and its `priority` where media overlap. Of kind "thin_dielectric", a pane: `ior` of its glass, and what
+    `reflectance` is of others is the share of light, above 0, that one way through the glass leaves.
+    `opacity` 0..1: the share of the surface that is there; `opacity_texture` (red) in place of it, and 1
+    from the value `opacity_cutoff` on, else 0, where that is above 0.
     """
 
     kind: str = "diffuse"
@@ -55,6 +61,23 @@ class Material:
     ior: float = 1.0
     absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
     priority: int = 0
+    opacity: float = 1.0
+    opacity_texture: Texture | None = None
+    opacity_cutoff: float = 0.0
+
+    @property
+    def cut_out(self) -> bool:
+        """Whether some of the surface is not there."""
+        if self.opacity_texture is None:
+            return self.opacity < 1.0
+        # Between texels no value is less than the least of them.
+        least = float(self.opacity_texture.pixels[..., 0].min())
+        return least < (self.opacity_cutoff if self.opacity_cutoff > 0.0 else 1.0)
+
+    @property
+    def see_through(self) -> bool:
+        """Whether light passes some of the surface straight on."""
+        return self.cut_out or self.kind == "thin_dielectric"
 
     @property
     def most_emission(self) -> np.ndarray:
@@ -62,6 +85,12 @@ class Material:
         if self.emission_texture is not None:
             return self.emission_texture.pixels.reshape(-1, 3).max(axis=0).astype(np.float64)
         return np.asarray(self.emission, dtype=np.float64)
+
+
+def absorption(colour: Sequence[float], depth: float) -> tuple[float, float, float]:
+    """1/m: of a medium that leaves the share `colour` (3,), above 0, of light after `depth` metres."""
+    r, g, b = (-math.log(c) / depth for c in colour)
+    return r, g, b
 
 
 @dataclass(frozen=True)

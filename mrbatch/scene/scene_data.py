@@ -22,6 +22,7 @@ RECEIVE = wp.constant(wp.int32(2))
 HOLDOUT = wp.constant(wp.int32(4))
 PHOTO = wp.constant(wp.int32(8))
 SMOOTH = wp.constant(wp.int32(16))
+SEE_THROUGH = wp.constant(wp.int32(32))
 
 
 @wp.struct
@@ -42,7 +43,8 @@ class TriangleData:
 class ObjectData:
     """One object: flags (bits above), BSDF kind, reflectance, GGX alpha, texture number or -1, and what
     only a principled surface has (`kernels.bsdf.Surface`). Of a dielectric: index of refraction, absorption
-    1/m, priority among overlapping ones (`scene.media`)."""
+    1/m, priority among overlapping ones (`scene.media`). Opacity, its texture or -1, and where that is cut
+    to 0 or 1 (`scene.see_through`)."""
 
     flags: wp.int32
     kind: wp.int32
@@ -59,6 +61,9 @@ class ObjectData:
     ior: wp.float32
     priority: wp.int32
     absorption: wp.vec3
+    opacity: wp.float32
+    opacity_texture: wp.int32
+    opacity_cutoff: wp.float32
 
 
 @wp.struct
@@ -229,6 +234,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu", *, shared: Any = N
             | int(item.holdout) * 4
             | int(item.material.from_photo) * 8
             | int(smooth) * 16
+            | int(item.material.see_through) * 32
         )
         triangles.append(_triangles(local, mesh, number, entry.flags))
         entry.kind = KINDS[item.material.kind]
@@ -257,6 +263,12 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu", *, shared: Any = N
         if item.material.emission_texture is not None:
             entry.emission_texture = len(textures)
             textures.append(item.material.emission_texture.pixels)
+        entry.opacity = item.material.opacity
+        entry.opacity_cutoff = item.material.opacity_cutoff
+        entry.opacity_texture = -1
+        if item.material.opacity_texture is not None:
+            entry.opacity_texture = len(textures)
+            textures.append(item.material.opacity_texture.pixels)
         objects.append(entry)
     if n_triangles > MAX_TRIANGLES:
         raise InputError(f"{n_triangles} triangles are more than {MAX_TRIANGLES}")

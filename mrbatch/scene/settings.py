@@ -32,6 +32,7 @@ from mrbatch.quantities import (
 from mrbatch.scene.alignment_settings import Alignment
 from mrbatch.scene.depth_settings import DepthMap
 from mrbatch.scene.material_settings import (
+    ConstantOrOpacityTexture,
     ConstantTextureOrPhoto,
     Dielectric,
     Material,
@@ -315,13 +316,17 @@ class VirtualObject(Object):
     )
 
     @model_validator(mode="after")
-    def _keys(self) -> VirtualObject:
+    def _consistent(self) -> VirtualObject:
         if self.animation is not None:
             frames = [key.frame for key in self.animation]
             if not frames or any(b <= a for a, b in zip(frames, frames[1:])):
                 raise ValueError("`animation` has one key or more, each of a later frame than the last")
             if self.transform != Transform():
                 raise ValueError("`transform` and `animation` are both given: give one")
+        if self.opacity is not None and isinstance(self.material, Dielectric):
+            raise ValueError("`opacity` of a dielectric: light passes it as glass; give its `colour`")
+        if self.emission is not None and isinstance(self.material, Dielectric) and self.material.thin:
+            raise ValueError("`emission` of thin glass: a pane sends no light of itself")
         if any(last < first for first, last in self.visible or ()):
             raise ValueError("`visible`: a time ends before it begins")
         return self
@@ -334,6 +339,11 @@ class VirtualObject(Object):
         None,
         description="Radiance that it sends of itself, linear Rec.709, in the map's units, 0 or more: grey "
         "or [r, g, b]; none: as a glTF file says, else 0",
+    )
+    opacity: ConstantOrOpacityTexture | None = Field(
+        None,
+        description="Share of its surface that is there, 0..1, or a texture of it: leaves, fences, veils; "
+        "not of dielectrics; none: as a glTF file says, else 1",
     )
     holdout: bool = Field(
         False, description="Whether it cuts a hole: it hides virtual objects and shows the photo"

@@ -41,6 +41,15 @@ class ShadingFlags:
     normal_maps: bool = False
     emission: bool = False
     transmission: bool = False
+    cutouts: bool = False
+    """Some surface is there in part."""
+    panes: bool = False
+    """Thin glass."""
+
+    @property
+    def see_through(self) -> bool:
+        """Light passes some surface straight on."""
+        return self.cutouts or self.panes
 
 
 @dataclass(frozen=True)
@@ -134,6 +143,8 @@ def make_surface(flags: ShadingFlags, camera: CameraFuncs) -> SurfaceFuncs:
             surface.metalness = scene.objects[point.object].metalness
             surface.f0 = scene.objects[point.object].f0
             surface.edge = scene.objects[point.object].edge
+        if wp.static(flags.panes):
+            surface.eta = scene.objects[point.object].ior
         return surface
 
     @wp.func

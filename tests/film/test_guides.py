@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,13 +24,13 @@ from mrbatch.scene.shading import ShadingFlags
 WIDTH, HEIGHT = 24, 20
 
 
-def guides(objects, *, needs=frozenset({NEED}), window=None):
+def guides(objects, *, needs=frozenset({NEED}), window=None, **flags):
     engine = resolve_engine("auto")
     camera = look_at((0, 0, 5.0), (0, 0, 0), width=WIDTH, height=HEIGHT, focal=20.0)
     view = ViewOutput("", 0, window or Window(0, 0, WIDTH, HEIGHT))
     outputs = Outputs((view,), needs, 0, engine)
     scene = upload(scene_of(objects), engine)
-    step = guide_pass(scene, view, outputs, ShadingFlags(), False, "box")
+    step = guide_pass(scene, view, outputs, ShadingFlags(**flags), False, "box")
     if step is None:
         return None, guide_buffers(view, outputs)
     pipeline = Pipeline(
@@ -84,3 +86,16 @@ def test_a_crop_has_the_guides_of_the_whole():
 def test_without_a_filter_there_is_neither_pass_nor_buffer(needs):
     step, buffers = guides(objects(), needs=needs)
     assert step is None and buffers == ()
+
+
+def test_behind_a_veil_both_sides_are_seen():
+    """A card of opacity 1/2: its own guide, and the floor's where rays pass it."""
+    ground, card = objects()
+    veil = replace(card, material=replace(card.material, opacity=0.5))
+    found, _ = guides([ground, veil], cutouts=True)
+    inside = np.s_[:, 12:22]
+    assert (found.virtual.object[inside] == 2).all() and (found.real.object[inside] == 1).all()
+    assert np.allclose(found.virtual.reflectance[inside], 0.8)
+    assert np.allclose(found.real.reflectance[inside], 0.5)
+    assert np.allclose(found.virtual.position[inside][..., 2], found.virtual.position[0, 13, 2], atol=1e-6)
+    assert (found.virtual.position[inside][..., 2] > found.real.position[inside][..., 2] + 0.9).all()

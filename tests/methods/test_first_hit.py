@@ -27,13 +27,14 @@ PARTS = frozenset({"depth", "normal", "albedo", "motion", "object_ids"})
 WIDTH, HEIGHT = 24, 20
 
 
-def layers(objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window=None):
+def layers(objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window=None, cutouts=False):
     engine = resolve_engine("auto")
     window = window or Window(0, 0, camera.width, camera.height)
     view = ViewOutput("", 0, window)
     outputs = Outputs((view,), needs, 0, engine)
     scene = upload(scene_of(objects), engine)
-    step = first_hit_pass(scene, view, outputs, ShadingFlags(textures=True, normal_maps=True), False, "box")
+    shading = ShadingFlags(textures=True, normal_maps=True, cutouts=cutouts)
+    step = first_hit_pass(scene, view, outputs, shading, False, "box")
     pipeline = Pipeline(
         finish=(step,),
         buffers=first_hit_buffers(view, outputs),
@@ -73,6 +74,32 @@ def test_depth_normal_albedo_of_a_card():
     # Premultiplied: at the edge a normal is as long as the coverage.
     assert np.allclose(found["normal"][..., 2], share, atol=1e-5)
     assert set(np.unique(found["object_ids"])) == {0, 200}
+
+
+def test_veils_and_cut_outs_cover_their_share():
+    """Opacity is coverage; behind a veil the next object has the rest; depth is the nearest that is there."""
+    veil = card(2.0)
+    veil = replace(veil, material=replace(veil.material, opacity=0.5))
+    solid = virtual("solid", plane(8, 8, centre=(0, 0, 1.0)), 0.3)
+    found = layers([real("floor", plane(20, 20)), veil, solid], camera(), cutouts=True)
+    inside = np.s_[6:14, 8:16]
+    by_id = {
+        k: (found["object_coverage"] * (found["object_ids"] == k)).sum(axis=-1)[inside] for k in (200, 300)
+    }
+    assert np.all(by_id[200] == 0.5) and np.all(by_id[300] == 0.5)
+    assert np.allclose(found["depth"][inside], 3.0, rtol=1e-6)
+    assert np.allclose(found["albedo"][inside], np.array([0.2, 0.4, 0.6]), atol=1e-6)
+    # Cut out, half a card: nothing where it is not, all where it is.
+    picture = np.zeros((1, 64, 3), np.float32)
+    picture[:, 32:] = 1.0
+    cut = card(2.0)
+    cut = replace(cut, material=replace(cut.material, opacity_texture=Texture(picture), opacity_cutoff=0.5))
+    found = layers([cut], camera(), cutouts=True)
+    share = found["object_coverage"].sum(axis=-1)
+    left, right = share[6:14, 7:11], share[6:14, 13:17]
+    assert camera().world_from_camera[0, 0] == 1.0
+    assert not left.any() and np.all(right == 1.0)
+    assert np.all(found["depth"][6:14, 7:11] == NOTHING)
 
 
 def test_depth_is_planar_and_the_nearest():

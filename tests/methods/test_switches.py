@@ -182,6 +182,21 @@ STATES = {
     "nothing virtual": ([FLAT], {"virtual": 0, "light-change": 0, "bleeding": 0}),
     "no real surface": ([black_ball()], {"virtual": 1, "light-change": 0, "real-on-real": 0}),
     "no shadow": ([FLAT, black_ball(cast_shadow=False)], {"virtual": 1, "light-change": 0}),
+    "veil": (
+        [FLAT, replace(black_ball(), material=Material(opacity=0.5))],
+        {"alpha": 1, "thin-glass": 0, "transmission": 0},
+    ),
+    "whole": (
+        [
+            FLAT,
+            replace(black_ball(), material=Material(opacity_texture=Texture(np.ones((2, 2, 3), np.float32)))),
+        ],
+        {"alpha": 0, "textures": 0},
+    ),
+    "pane": (
+        [FLAT, replace(black_ball(), material=Material("thin_dielectric", (1, 1, 1), ior=1.5))],
+        {"thin-glass": 1, "alpha": 0, "transmission": 0, "glossy": 1, "bleeding": 1},
+    ),
     "unseen": ([FLAT, black_ball(camera=False)], {"virtual": 0, "light-change": 1}),
     "holdout": ([FLAT, black_ball(holdout=True)], {"holdout": 1}),
     "real holdout": ([replace(FLAT, holdout=True), black_ball()], {"holdout": 1}),
@@ -235,12 +250,12 @@ def test_what_is_off_leaves_no_code():
         Flags(
             engine=engine,
             real_on_real=True,
-            shading=ShadingFlags(textures=True),
-            bsdf_kinds=frozenset({"diffuse", "conductor"}),
+            shading=ShadingFlags(textures=True, cutouts=True, panes=True),
+            bsdf_kinds=frozenset({"diffuse", "conductor", "thin_dielectric"}),
             distortion=True,
         )
     )
-    for name in ("sample_texture", "conductor", "undistort"):
+    for name in ("sample_texture", "conductor", "undistort", "opacity_at", "pane_shares", "transmittance"):
         assert name in rich and name not in lean, name
     plain = source(Flags(engine=engine, real_on_real=False))
     mixed = source(Flags(engine=engine, real_on_real=True))
@@ -264,7 +279,7 @@ def test_absent_effects_would_have_changed_nothing():
             virtual_paths=True,
             unreceptive=True,
             holdout=True,
-            shading=ShadingFlags(textures=True),
+            shading=ShadingFlags(textures=True, cutouts=True, panes=True),
             bsdf_kinds=frozenset({"diffuse", "conductor"}),
         )
 

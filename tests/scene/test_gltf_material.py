@@ -88,12 +88,12 @@ def test_each_material_is_an_object_of_the_same_name(tmp_path):
     path = write(
         tmp_path / "a.glb",
         one=card(baseColorFactor=[1.0, 0.0, 0.0, 1.0], name="red"),
-        two=card(baseColorFactor=[0.0, 0.0, 1.0, 1.0], name="blue", alphaMode="BLEND"),
+        two=card(baseColorFactor=[0.0, 0.0, 1.0, 0.5], name="blue", alphaMode="BLEND"),
     )
     scene = built(path)
     assert [o.name for o in scene.objects] == ["thing", "thing"]
     assert {o.material.name for o in scene.objects} == {"red", "blue"}
-    assert any("transparency" in note for note in scene.notes)
+    assert sorted(o.material.opacity for o in scene.objects) == pytest.approx([0.5, 1.0], abs=1 / 255)
     # A material of the job stands for all of the file's.
     (alone,) = built(path, material={"type": "diffuse", "reflectance": 0.3}).objects
     assert alone.material.kind == "diffuse" and len(alone.mesh.faces) == 4
@@ -105,9 +105,91 @@ def test_each_material_is_an_object_of_the_same_name(tmp_path):
     assert built(stl).objects[0].material.kind == "diffuse"
 
 
-def test_what_is_left_out_is_told(tmp_path):
-    path = write(tmp_path / "a.glb", one=card(alphaMode="BLEND"))
-    assert built(path).notes == ("a.glb: transparency of its material left out",)
+ALPHA = np.array([[0, 64], [128, 255]], np.uint8)
+LEAF = np.dstack([COLOURS, ALPHA])
+
+
+def test_alpha_counts_as_its_mode_says(tmp_path):
+    """glTF 2.0, 3.9.4: OPAQUE ignores alpha, BLEND takes it, MASK cuts at alphaCutoff (0.5)."""
+    looks = {"baseColorTexture": picture(LEAF), "baseColorFactor": [1.0, 1.0, 1.0, 0.5]}
+    for mode in (None, "OPAQUE"):
+        (item,) = built(write(tmp_path / "a.glb", one=card(**looks, alphaMode=mode))).objects
+        assert not item.material.see_through and item.material.opacity_texture is None
+    (item,) = built(write(tmp_path / "a.glb", one=card(**looks, alphaMode="BLEND"))).objects
+    found = item.material
+    # trimesh keeps factors as bytes.
+    np.testing.assert_allclose(found.opacity_texture.pixels[..., 0], ALPHA / 255 / 2, atol=1 / 255)
+    assert found.opacity_cutoff == 0.0
+    np.testing.assert_allclose(found.texture.pixels, to_linear(COLOURS, "srgb", 8), atol=1e-6)
+    del looks["baseColorFactor"]
+    (item,) = built(write(tmp_path / "a.glb", one=card(**looks, alphaMode="MASK"))).objects
+    np.testing.assert_allclose(item.material.opacity_texture.pixels[..., 0], ALPHA / 255, rtol=1e-6)
+    assert item.material.opacity_cutoff == 0.5 and item.material.opacity == 0.5
+    # A cut that no texel fails, and one that all do.
+    for cutoff, opacity in ((0.0, 1.0), (1.1, 0.0)):
+        path = write(tmp_path / "a.glb", one=card(**looks, alphaMode="MASK", alphaCutoff=cutoff))
+        (item,) = built(path).objects
+        assert item.material.opacity == opacity and item.material.opacity_texture is None
+        assert item.camera == (opacity > 0)
+    # The job's word stands for the file's.
+    path = write(tmp_path / "a.glb", one=card(**looks, alphaMode="MASK"))
+    assert built(path, opacity=0.25).objects[0].material.opacity == 0.25
+
+
+def with_extensions(path, extensions, **material):
+    """A glTF file whose one material has these extensions."""
+    import trimesh
+
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene({"one": card(name="glass", **material)}))
+    for name, data in files.items():
+        (path / name).write_bytes(data)
+    header = json.loads((path / "model.gltf").read_text())
+    header["materials"][0]["extensions"] = extensions
+    (path / "model.gltf").write_text(json.dumps(header))
+    return path / "model.gltf"
+
+
+def test_transmission_is_glass(tmp_path):
+    """KHR_materials_transmission alone is thin; with a thickness of KHR_materials_volume it is solid."""
+    passing = {"KHR_materials_transmission": {"transmissionFactor": 1.0}}
+    colour = [0.5, 1.0, 1.0, 1.0]
+    path = with_extensions(tmp_path, passing, baseColorFactor=colour, roughnessFactor=0.0)
+    scene = built(path)
+    look = scene.objects[0].material
+    assert look.kind == "thin_dielectric" and look.ior == 1.5 and scene.notes == ()
+    np.testing.assert_allclose(look.reflectance, colour[:3], atol=1 / 255)
+    volume = {"thicknessFactor": 0.01, "attenuationColor": [0.25, 1.0, 1.0], "attenuationDistance": 0.02}
+    solid = {**passing, "KHR_materials_volume": volume, "KHR_materials_ior": {"ior": 1.33}}
+    scene = built(with_extensions(tmp_path, solid, roughnessFactor=0.5))
+    look = scene.objects[0].material
+    assert look.kind == "dielectric" and look.ior == 1.33 and look.alpha == pytest.approx(0.25)
+    np.testing.assert_allclose(look.absorption, [np.log(4.0) / 0.02, 0.0, 0.0], atol=1e-9)
+    flat = {**passing, "KHR_materials_volume": {"thicknessFactor": 0.0}}
+    assert built(with_extensions(tmp_path, flat)).objects[0].material.kind == "thin_dielectric"
+
+
+def test_the_jobs_opacity_and_a_files_glass(tmp_path):
+    passing = {"KHR_materials_transmission": {"transmissionFactor": 1.0}}
+    path = with_extensions(tmp_path, passing, roughnessFactor=0.0)
+    scene = built(path, opacity=0.5, emission=1.0)
+    look = scene.objects[0].material
+    assert look.kind == "thin_dielectric" and not look.cut_out and not look.most_emission.any()
+    assert "what the job says of opacity" in scene.notes[0]
+
+
+def test_what_of_glass_is_left_out_is_told(tmp_path):
+    half = {"KHR_materials_transmission": {"transmissionFactor": 0.3}}
+    scene = built(with_extensions(tmp_path, half))
+    assert scene.objects[0].material.kind == "principled"
+    assert scene.notes == ("model.gltf: the part that lets light through of its material left out",)
+    rough = {"KHR_materials_transmission": {"transmissionFactor": 1.0}}
+    assert "roughness" in built(with_extensions(tmp_path, rough, roughnessFactor=0.5)).notes[0]
+    # Nonsense is no glass, and no crash.
+    for wrong in ({"transmissionFactor": "much"}, {"transmissionFactor": None}, {}):
+        path = with_extensions(tmp_path, {"KHR_materials_transmission": wrong})
+        assert built(path).objects[0].material.kind == "principled"
+    path = with_extensions(tmp_path, {"KHR_materials_transmission": 5})
+    assert built(path).objects[0].material.kind == "principled"
 
 
 def test_emission(tmp_path):

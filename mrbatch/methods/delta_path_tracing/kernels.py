@@ -14,7 +14,10 @@ geometry is compared with the nearest hit in real geometry:
 - the same real point y: the change goes on there, Delta(y);
 - a virtual point y_V in front: the path forks; + L_m(y_V), traced among all objects, and - L_r of
   what lay behind (a real point, traced among real objects alone, or the sky), both legs with common
-  random numbers.
+  random numbers;
+- the same real point or the sky, through glass of a colour: s L_m - L_r, s the share that passes.
+
+Of virtual surfaces that are there in part, the nearest is what a ray stops at (`scene.see_through`).
 
 Light from the sky that virtual objects block on the way, -f cos L_s V_R (1 - V_V), comes by sampling
 the environment and by the same scattered ray, with the balance heuristic. Every leg is cut by
@@ -37,6 +40,7 @@ from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
     max_component,
+    min_component,
     orthonormal_basis,
     to_local,
     to_world,
@@ -54,6 +58,7 @@ from mrbatch.scene.light_paths import (
 )
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, SurfacePoint, surface_point
+from mrbatch.scene.see_through import DIM_STOP, STOPS, make_see_through
 from mrbatch.scene.shading import PhotoReflectance, make_surface
 
 
@@ -100,6 +105,9 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
     ray_start = make_ray_start(flags.ray_start)
+    see_through = make_see_through(flags.shading, trace, ray_start, sample_1d)
+    stop_at, transmittance = see_through.stop, see_through.transmittance
+    panes = flags.shading.panes
 
     # Of a diffuse surface reflectance is a factor, and is read only where it counts.
     @wp.func
@@ -141,6 +149,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
         background = film.background[pixel.index]
         key = pixel_key(frame.seed, frame.frame, frame.view, half, pixel.x, pixel.y)
         total = film_load(film, half, pixel.index)
+        camera_rays = int(0)
         shadow_rays = int(0)
         scatter_rays = int(0)
         lookups = int(0)
@@ -162,6 +171,12 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             if wp.static(not flags.virtual_seen):
                 first_set = scene.photo_set
             hit = trace(first_set, primary.origin, primary.direction, FAR)
+            if wp.static(see_through.on):
+                first = stop_at(scene, first_set, hit, primary.direction, key, index, DIM_STOP)
+                hit = first.hit
+                camera_rays += first.rays
+                # What comes through glass on the way to where the path forks.
+                plus_share = wp.vec3(1.0, 1.0, 1.0)
             if primary.ok and hit.triangle >= 0:
                 point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
                 flags_here = point.flags
@@ -218,7 +233,16 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                         if max_component(f) > 0.0:
                                             shadow_rays += 1
                                             o = ray_start(scene, point, light.direction)
-                                            lost = occluded(scene.virtual_set, o, light.direction, FAR)
+                                            if wp.static(see_through.on):
+                                                through = transmittance(
+                                                    scene, scene.virtual_set, o, light.direction, FAR
+                                                )
+                                                shadow_rays += through.rays - 1
+                                                kept = wp.vec3(1.0, 1.0, 1.0) - through.share
+                                                f = wp.cw_mul(f, kept)
+                                                lost = max_component(kept) > 0.0
+                                            else:
+                                                lost = occluded(scene.virtual_set, o, light.direction, FAR)
                                             if wp.static(flags.real_on_real):
                                                 if lost:
                                                     shadow_rays += 1
@@ -253,6 +277,12 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             behind_v = float(0.0)
                             forks = bool(False)
                             seen = trace(reach_of(scene), o, d, FAR)
+                            if wp.static(see_through.on):
+                                place = DIM_STOP + STOPS * edges
+                                stop = stop_at(scene, reach_of(scene), seen, d, key, index, place)
+                                seen = stop.hit
+                                scatter_rays += stop.rays
+                                plus_share = stop.share
                             if wp.static(flags.real_on_real):
                                 # Most rays meet something real, or nothing, first: one query tells.
                                 behind_triangle = seen.triangle
@@ -269,7 +299,10 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                     behind_v = behind.v
                             else:
                                 forks = seen.triangle >= 0
-                            if seen.triangle < 0:
+                            if wp.static(panes):
+                                # What comes through glass of a colour is changed, whatever sent it.
+                                forks = forks or min_component(plus_share) < 1.0
+                            if seen.triangle < 0 and not forks:
                                 break
                             throughput = wp.cw_mul(throughput, drawn.weight)
                             throughput = tinted(scene, frame.photo, point, throughput)
@@ -284,11 +317,15 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                     if w > 0.0:
                                         lookups += 1
                                         lost_light = env_radiance(scene.environment, d)
+                                        if wp.static(panes):
+                                            if seen.triangle < 0:
+                                                lost_light = lost_light - wp.cw_mul(lost_light, plus_share)
                                         blocked -= wp.cw_mul(throughput, lost_light) * w
                                 if wp.static(flags.virtual_paths):
-                                    plus = surface_point(scene, seen.triangle, seen.u, seen.v, d)
-                                    plus_direction = d
-                                    legs = 1
+                                    if seen.triangle >= 0:
+                                        plus = surface_point(scene, seen.triangle, seen.u, seen.v, d)
+                                        plus_direction = d
+                                        legs = 1
                                 if wp.static(flags.real_on_real):
                                     if behind_triangle >= 0:
                                         minus = surface_point(scene, behind_triangle, behind_u, behind_v, d)
@@ -322,17 +359,28 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                     lookups += leg.lookups
                     vertices += leg.vertices
                     gathered = wp.cw_mul(fork_throughput, leg.radiance)
+                    if wp.static(panes):
+                        if side == 0:
+                            gathered = wp.cw_mul(gathered, plus_share)
                     if covered > 0.0:
                         value = gathered
                     elif side == 0:
                         indirect += gathered
                     else:
                         indirect -= gathered
+            if wp.static(panes):
+                changes = changes or min_component(first.share) < 1.0
             # Most samples change nothing, and adding zero is work too.
             if changes:
                 value = wp.cw_mul(value, frame.gain)
                 blocked = wp.cw_mul(blocked, frame.gain)
                 indirect = wp.cw_mul(indirect, frame.gain)
+                if wp.static(panes):
+                    value = wp.cw_mul(value, first.share)
+                    indirect = wp.cw_mul(indirect, first.share)
+                    blocked = wp.cw_mul(blocked, first.share)
+                    if covered == 0.0:
+                        blocked -= wp.cw_mul(background, wp.vec3(1.0, 1.0, 1.0) - first.share)
                 delta = blocked + indirect
                 total = film_add(total, value, covered, delta, background)
                 if wp.static(flags.split):
@@ -340,7 +388,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                         film.sums[half, pixel.index, 7 + c] += wp.float64(blocked[c])
                         film.sums[half, pixel.index, 10 + c] += wp.float64(indirect[c])
         film_store(film, half, pixel.index, total, samples)
-        wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples))
+        wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples + camera_rays))
         wp.atomic_add(counters, SHADOW_RAYS, wp.int64(shadow_rays))
         wp.atomic_add(counters, SCATTER_RAYS, wp.int64(scatter_rays))
         wp.atomic_add(counters, LOOKUPS, wp.int64(lookups))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.facts import ShotFacts
 from mrbatch.effects.surface_rules import (
+    ALPHA,
     DISTORTION,
     EMISSION,
     ENVIRONMENT,
@@ -12,6 +13,7 @@ from mrbatch.effects.surface_rules import (
     HOLDOUT,
     NORMAL_MAPS,
     TEXTURES,
+    THIN_GLASS,
     TRANSMISSION,
     VIRTUAL,
     absent,
@@ -31,6 +33,8 @@ RULES = (
     GLOSSY,
     EMISSION,
     TRANSMISSION,
+    ALPHA,
+    THIN_GLASS,
     NORMAL_MAPS,
     TEXTURES,
     HOLDOUT,

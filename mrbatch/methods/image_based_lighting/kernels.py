@@ -30,6 +30,7 @@ from mrbatch.scene.frame_params import FrameParams
 from mrbatch.scene.media import enters
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, SceneData, surface_point
+from mrbatch.scene.see_through import DIM_STOP, make_see_through
 from mrbatch.scene.shading import ShadingFlags, make_surface
 
 DIM_PIXEL = wp.constant(wp.int32(0))
@@ -68,6 +69,8 @@ def make_kernel(flags: Flags) -> Any:
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_start = sampler.sample_start
     ray_start = make_ray_start(flags.ray_start)
+    see_through = make_see_through(flags.shading, trace, ray_start, sampler.sample_1d)
+    stop_at, transmittance = see_through.stop, see_through.transmittance
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at, emission_at = surfaces.surface, surfaces.normal, surfaces.emission
@@ -93,10 +96,10 @@ def make_kernel(flags: Flags) -> Any:
             return
         key = pixel_key(frame.seed, frame.frame, frame.view, half, pixel.x, pixel.y)
         total = film_load(film, half, pixel.index)
+        camera_rays = int(0)
         shadow_rays = int(0)
         lookups = int(0)
         vertices = int(0)
-        nothing = wp.vec3(0.0, 0.0, 0.0)
         for n in range(samples):
             index = first_sample + n
             start = sample_start(key, index, DIM_PIXEL, DIM_VERTEX)
@@ -107,6 +110,11 @@ def make_kernel(flags: Flags) -> Any:
             value = wp.vec3(0.0, 0.0, 0.0)
             covered = float(0.0)
             hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
+            change = wp.vec3(0.0, 0.0, 0.0)
+            if wp.static(see_through.on):
+                met = stop_at(scene, scene.camera_set, hit, primary.direction, key, index, DIM_STOP)
+                hit = met.hit
+                camera_rays += met.rays
             if primary.ok and hit.triangle >= 0:
                 point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
                 here = point.flags
@@ -134,7 +142,13 @@ def make_kernel(flags: Flags) -> Any:
                                 if open:
                                     shadow_rays += 1
                                     o = ray_start(scene, point, light.direction)
-                                    open = not occluded(scene.all_set, o, light.direction, FAR)
+                                    if wp.static(see_through.on):
+                                        through = transmittance(scene, scene.all_set, o, light.direction, FAR)
+                                        shadow_rays += through.rays - 1
+                                        f = wp.cw_mul(f, through.share)
+                                        open = max_component(through.share) > 0.0
+                                    else:
+                                        open = not occluded(scene.all_set, o, light.direction, FAR)
                             if open:
                                 lookups += 1
                                 w = 1.0 / light.pdf
@@ -153,18 +167,28 @@ def make_kernel(flags: Flags) -> Any:
                             if lit and drawn.wi[2] > 0.0:
                                 shadow_rays += 1
                                 o = ray_start(scene, point, d)
-                                lit = not occluded(scene.all_set, o, d, FAR)
+                                if wp.static(see_through.on):
+                                    past = transmittance(scene, scene.all_set, o, d, FAR)
+                                    shadow_rays += past.rays - 1
+                                    drawn.weight = wp.cw_mul(drawn.weight, past.share)
+                                    lit = max_component(past.share) > 0.0
+                                else:
+                                    lit = not occluded(scene.all_set, o, d, FAR)
                         if lit:
                             lookups += 1
                             w = 1.0
                             if wp.static(weigh):
                                 w = balance_heuristic(drawn.pdf, env_pdf(scene.environment, d))
                             value += wp.cw_mul(drawn.weight, env_radiance(scene.environment, d)) * w
+            if wp.static(flags.shading.panes):
+                value = wp.cw_mul(value, met.share)
+                if covered == 0.0:
+                    change = wp.cw_mul(film.background[pixel.index], met.share - wp.vec3(1.0, 1.0, 1.0))
             total = film_add(
-                total, wp.cw_mul(value, frame.gain), covered, nothing, film.background[pixel.index]
+                total, wp.cw_mul(value, frame.gain), covered, change, film.background[pixel.index]
             )
         film_store(film, half, pixel.index, total, samples)
-        wp.atomic_add(counters, 0, wp.int64(samples))
+        wp.atomic_add(counters, 0, wp.int64(samples + camera_rays))
         wp.atomic_add(counters, 1, wp.int64(shadow_rays))
         wp.atomic_add(counters, 2, wp.int64(0))
         wp.atomic_add(counters, 3, wp.int64(lookups))

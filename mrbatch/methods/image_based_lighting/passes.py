@@ -44,6 +44,8 @@ def make_flags(
             principled="principled" in kinds,
             normal_maps=plan.on("normal-maps"),
             transmission=plan.on("transmission"),
+            cutouts=plan.on("alpha"),
+            panes=plan.on("thin-glass"),
             emission=plan.on("emission"),
         ),
         occlusion=plan.on("occlusion"),

@@ -25,7 +25,7 @@ from mrbatch.film.path_pipeline import CameraPathFlags
 from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
-from mrbatch.kernels.numerics import max_component, orthonormal_basis, to_local, to_world
+from mrbatch.kernels.numerics import max_component, min_component, orthonormal_basis, to_local, to_world
 from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
@@ -40,6 +40,7 @@ from mrbatch.scene.light_paths import (
 )
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, SurfacePoint, surface_point
+from mrbatch.scene.see_through import DIM_STOP, STOPS, make_see_through
 from mrbatch.scene.shading import PhotoReflectance, make_surface
 
 
@@ -64,6 +65,9 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
     sample_light = paths.sample_light
     ray_start = make_ray_start(flags.ray_start)
+    see_through = make_see_through(flags.shading, trace, ray_start, sample_1d)
+    stop_at, transmittance = see_through.stop, see_through.transmittance
+    panes = flags.shading.panes
 
     @wp.func
     def change(
@@ -87,6 +91,9 @@ def make_kernel(flags: CameraPathFlags) -> Any:
         # Where the two paths part: 1 if L_m alone goes on, 2 if both do.
         legs = int(0)
         mixed_start = start
+        if wp.static(panes):
+            # Of what glass lets through, on the way to where the paths part.
+            mixed_share = wp.vec3(1.0, 1.0, 1.0)
         real_start = start
         while edges < numbers.max_edges:
             leg.vertices += 1
@@ -124,7 +131,12 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                         if max_component(f) > 0.0:
                             o = ray_start(scene, point, light.direction)
                             leg.shadow_rays += 1
-                            mixed_open = not occluded(mixed_set, o, light.direction, FAR)
+                            if wp.static(see_through.on):
+                                through = transmittance(scene, mixed_set, o, light.direction, FAR)
+                                leg.shadow_rays += through.rays - 1
+                                mixed_open = max_component(through.share) > 0.0
+                            else:
+                                mixed_open = not occluded(mixed_set, o, light.direction, FAR)
                             # What is open among all objects is open among real ones.
                             real_open = mixed_open
                             if not mixed_open:
@@ -143,6 +155,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                                 )
                                 real += arriving
                                 if mixed_open:
+                                    if wp.static(see_through.on):
+                                        arriving = wp.cw_mul(arriving, through.share)
                                     mixed += arriving
             if max_component(drawn.weight) <= 0.0:
                 break
@@ -153,6 +167,12 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             o = ray_start(scene, point, d)
             leg.scatter_rays += 1
             seen = trace(mixed_set, o, d, FAR)
+            if wp.static(see_through.on):
+                stop = stop_at(scene, mixed_set, seen, d, key, index, DIM_STOP + STOPS * edges)
+                seen = stop.hit
+                leg.scatter_rays += stop.rays
+                if wp.static(panes):
+                    mixed_share = stop.share
             behind = seen
             forks = bool(False)
             if seen.triangle >= 0:
@@ -168,10 +188,15 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                     arriving = wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
                     real += arriving
                     if not forks:
+                        if wp.static(panes):
+                            arriving = wp.cw_mul(arriving, mixed_share)
                         mixed += arriving
             if seen.triangle < 0:
                 break
             edges += 1
+            if wp.static(panes):
+                # What comes through glass of a colour goes ways of its own from here.
+                forks = forks or min_component(mixed_share) < 1.0
             if forks:
                 legs = 1
                 mixed_start = surface_point(scene, seen.triangle, seen.u, seen.v, d)
@@ -198,6 +223,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             leg.vertices += rest.vertices
             gathered = wp.cw_mul(throughput, rest.radiance)
             if side == 0:
+                if wp.static(panes):
+                    gathered = wp.cw_mul(gathered, mixed_share)
                 mixed += gathered
             else:
                 real += gathered
@@ -224,6 +251,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
         background = film.background[pixel.index]
         key = pixel_key(frame.seed, frame.frame, frame.view, half, pixel.x, pixel.y)
         total = film_load(film, half, pixel.index)
+        camera_rays = int(0)
         shadow_rays = int(0)
         scatter_rays = int(0)
         lookups = int(0)
@@ -241,6 +269,10 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             if wp.static(not flags.virtual_seen):
                 first_set = scene.photo_set
             hit = trace(first_set, primary.origin, primary.direction, FAR)
+            if wp.static(see_through.on):
+                met = stop_at(scene, first_set, hit, primary.direction, key, index, DIM_STOP)
+                hit = met.hit
+                camera_rays += met.rays
             if primary.ok and hit.triangle >= 0:
                 point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
                 here = point.flags
@@ -265,11 +297,16 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                 scatter_rays += leg.scatter_rays
                 lookups += leg.lookups
                 vertices += leg.vertices
-            total = film_add(
-                total, wp.cw_mul(value, frame.gain), covered, wp.cw_mul(delta, frame.gain), background
-            )
+            value = wp.cw_mul(value, frame.gain)
+            delta = wp.cw_mul(delta, frame.gain)
+            if wp.static(panes):
+                value = wp.cw_mul(value, met.share)
+                delta = wp.cw_mul(delta, met.share)
+                if covered == 0.0:
+                    delta += wp.cw_mul(background, met.share - wp.vec3(1.0, 1.0, 1.0))
+            total = film_add(total, value, covered, delta, background)
         film_store(film, half, pixel.index, total, samples)
-        wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples))
+        wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples + camera_rays))
         wp.atomic_add(counters, SHADOW_RAYS, wp.int64(shadow_rays))
         wp.atomic_add(counters, SCATTER_RAYS, wp.int64(scatter_rays))
         wp.atomic_add(counters, LOOKUPS, wp.int64(lookups))

@@ -27,7 +27,9 @@ from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
 from mrbatch.scene.frame_params import FrameParams
 from mrbatch.scene.light_paths import DIM_PIXEL, DIM_VERTEX, PathNumbers, make_paths
+from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, RECEIVE, VIRTUAL, SceneData, surface_point
+from mrbatch.scene.see_through import DIM_STOP, make_see_through
 
 WITHOUT = wp.constant(wp.int32(4))
 """Added to the half in the key of the second picture: 2 is the key of the photo's reflectance."""
@@ -38,9 +40,13 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     """The kernel for these flags: adds samples of one half to the film, one thread a pixel."""
     trace = rays(flags.engine).trace
     camera_ray = make_camera(flags.camera_model, flags.distortion).ray  # type: ignore[arg-type]
-    sample_start = make_sampler(flags.sampler).sample_start  # type: ignore[arg-type]
+    sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
+    sample_start = sampler.sample_start
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     path = make_paths(flags).path
+    see_through = make_see_through(flags.shading, trace, make_ray_start(flags.ray_start), sampler.sample_1d)
+    stop_at = see_through.stop
+    panes = flags.shading.panes
     pictures = 2 if flags.light_change else 1
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -62,6 +68,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             return
         background = film.background[pixel.index]
         total = film_load(film, half, pixel.index)
+        camera_rays = int(0)
         shadow_rays = int(0)
         scatter_rays = int(0)
         lookups = int(0)
@@ -71,6 +78,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             value = wp.vec3(0.0, 0.0, 0.0)
             delta = wp.vec3(0.0, 0.0, 0.0)
             covered = float(0.0)
+            if wp.static(panes):
+                tint = wp.vec3(1.0, 1.0, 1.0)
             for picture in range(wp.static(pictures)):
                 key = pixel_key(
                     frame.seed, frame.frame, frame.view, half + picture * WITHOUT, pixel.x, pixel.y
@@ -83,6 +92,13 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                 if wp.static(not flags.virtual_seen):
                     first_set = scene.photo_set
                 hit = trace(first_set, primary.origin, primary.direction, FAR)
+                if wp.static(see_through.on):
+                    met = stop_at(scene, first_set, hit, primary.direction, key, index, DIM_STOP)
+                    hit = met.hit
+                    camera_rays += met.rays
+                    if wp.static(panes):
+                        if picture == 0:
+                            tint = met.share
                 if primary.ok and hit.triangle >= 0:
                     point = surface_point(scene, hit.triangle, hit.u, hit.v, primary.direction)
                     here = point.flags
@@ -103,18 +119,23 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                         scatter_rays += leg.scatter_rays
                         lookups += leg.lookups
                         vertices += leg.vertices
+                        shown = leg.radiance
+                        if wp.static(panes):
+                            shown = wp.cw_mul(shown, met.share)
                         if is_virtual:
                             covered = 1.0
-                            value = leg.radiance
+                            value = shown
                         elif picture == 0:
-                            delta += leg.radiance
+                            delta += shown
                         else:
-                            delta -= leg.radiance
-            total = film_add(
-                total, wp.cw_mul(value, frame.gain), covered, wp.cw_mul(delta, frame.gain), background
-            )
+                            delta -= shown
+            delta = wp.cw_mul(delta, frame.gain)
+            if wp.static(panes):
+                if covered == 0.0:
+                    delta += wp.cw_mul(background, tint - wp.vec3(1.0, 1.0, 1.0))
+            total = film_add(total, wp.cw_mul(value, frame.gain), covered, delta, background)
         film_store(film, half, pixel.index, total, samples)
-        wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples * wp.static(pictures)))
+        wp.atomic_add(counters, CAMERA_RAYS, wp.int64(samples * wp.static(pictures) + camera_rays))
         wp.atomic_add(counters, SHADOW_RAYS, wp.int64(shadow_rays))
         wp.atomic_add(counters, SCATTER_RAYS, wp.int64(scatter_rays))
         wp.atomic_add(counters, LOOKUPS, wp.int64(lookups))
