@@ -138,7 +138,8 @@ def _glass(
     if _number(volume.get("thicknessFactor"), 0.0) > 0.0:
         if colour.min() < 1.0:
             left_out.append("the base colour of the glass")
-        left = volume.get("attenuationColor", [1.0, 1.0, 1.0])
+        told = volume.get("attenuationColor")
+        left = [_number(c, 1.0) for c in told] if isinstance(told, list) and len(told) == 3 else [1.0] * 3
         depth = _number(volume.get("attenuationDistance"), math.inf)
         dark = (0.0, 0.0, 0.0)
         if math.isfinite(depth) and depth > 0.0:

@@ -11,7 +11,8 @@ so that one stratified number serves however many surfaces, and a card of opacit
 ray of a pixel. Glass of a colour passes more of one channel than of another: p is the largest share, and
 what a ray brings back is weighted by shares / p.
 
-Rays go on from the surface as they leave one that scatters: nothing is skipped, and nothing met twice.
+Rays go on from such a surface as they leave one that scatters, so that none is met twice; what lies nearer
+behind it than rays start off (two cards in one plane) counts once.
 """
 
 from __future__ import annotations
@@ -66,8 +67,9 @@ class SeeThrough:
     """`wp.func`s for rays among surfaces that light may pass.
 
     `stop(scene, among, first, direction, key, index, dimension) -> Stop`: on from the first hit of a ray
-    of one set; `dimension`: of the random number. `transmittance(scene, among, origin, direction, tfar) ->
-    Transmitted`. `on`: whether any surface is such; else neither has to be asked.
+    of one set, of unit direction; `dimension`: of the random number. `transmittance(scene, among, origin,
+    direction, tfar) -> Transmitted`: up to `tfar` times the direction's length, which is any. `on`: whether
+    any surface is such; else neither has to be asked.
     """
 
     on: bool
@@ -152,21 +154,24 @@ def make_see_through(flags: ShadingFlags, trace: Any, ray_start: Any, sample_1d:
     ) -> Transmitted:
         result = Transmitted()
         result.share = wp.vec3(1.0, 1.0, 1.0)
+        unit = wp.normalize(direction)
         o = origin
-        left = tfar
+        d = direction
         for _ in range(wp.static(MOST_PASSED)):
             result.rays += 1
-            hit = trace(among, o, direction, left)
+            hit = trace(among, o, d, tfar)
             if hit.triangle < 0:
                 return result
             if (scene.triangles[hit.triangle].flags & SEE_THROUGH) == 0:
                 break
-            point = surface_point(scene, hit.triangle, hit.u, hit.v, direction)
-            result.share = wp.cw_mul(result.share, passing(scene, point, direction))
+            point = surface_point(scene, hit.triangle, hit.u, hit.v, unit)
+            result.share = wp.cw_mul(result.share, passing(scene, point, unit))
             if max_component(result.share) <= 0.0:
                 break
-            left -= hit.t
-            o = ray_start(scene, point, direction)
+            o = ray_start(scene, point, unit)
+            if tfar < FAR:
+                # To the same end, and not beyond it by what a start lies off.
+                d = (origin + direction * tfar - o) / tfar
         result.share = wp.vec3(0.0, 0.0, 0.0)
         return result
 

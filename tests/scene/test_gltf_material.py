@@ -188,6 +188,11 @@ def test_what_of_glass_is_left_out_is_told(tmp_path):
     for wrong in ({"transmissionFactor": "much"}, {"transmissionFactor": None}, {}):
         path = with_extensions(tmp_path, {"KHR_materials_transmission": wrong})
         assert built(path).objects[0].material.kind == "principled"
+    odd = {"thicknessFactor": 1, "attenuationColor": [1, "x", None], "attenuationDistance": 0}
+    path = with_extensions(tmp_path, {**rough, "KHR_materials_volume": odd, "KHR_materials_ior": {"ior": []}})
+    assert built(path).objects[0].material.absorption == (0.0, 0.0, 0.0)
+    path = with_extensions(tmp_path, {**rough, "KHR_materials_volume": {**odd, "attenuationColor": "red"}})
+    assert built(path).objects[0].material.ior == 1.5
     path = with_extensions(tmp_path, {"KHR_materials_transmission": 5})
     assert built(path).objects[0].material.kind == "principled"
 
