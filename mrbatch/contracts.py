@@ -103,7 +103,8 @@ class Pass:
     thread; a pass gathers (an element owns what it writes), so the cut into spans never shows.
     `halo`: how many elements around its own a pass reads from the buffers in `reads`.
     `kernels`: every kernel it can launch; all are compiled before the first launch. `everywhere`: it
-    runs over its whole domain, also over tiles that nothing virtual touches.
+    runs over its whole domain, also over tiles that nothing virtual touches. `each_moment`: a pass of
+    `finish` that looks at the scene: where the shutter is open it runs at each moment of the exposure.
     """
 
     name: str
@@ -115,6 +116,7 @@ class Pass:
     counters: tuple[Counter, ...] = ()
     halo: int = 0
     everywhere: bool = False
+    each_moment: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,8 @@ class Pipeline:
     """Four lists of passes: once a shot, once a frame, once a batch of samples, once at the end.
 
     Each call of `refine` adds `batch` samples to one half of the film. `bind(frame)` is called once
-    a frame before its passes and gives the host-side data that they read.
+    a frame before its passes and gives the host-side data that they read; of a frame that is looked at at
+    several moments of an exposure, again before the samples of each.
     """
 
     shot: tuple[Pass, ...] = ()

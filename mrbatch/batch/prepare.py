@@ -12,6 +12,7 @@ import numpy as np
 
 from mrbatch import __version__
 from mrbatch.batch.commit import hash_file
+from mrbatch.batch.exposure import Exposure
 from mrbatch.batch.framing import data_window, display_size
 from mrbatch.batch.history import Segment, cut_segments
 from mrbatch.batch.shot import Shot, commit_shot, content_hash, load_shot
@@ -23,7 +24,7 @@ from mrbatch.device.rays import resolve_engine
 from mrbatch.device.timing import TimingNode
 from mrbatch.effects.facts import FrameFacts, ShotFacts
 from mrbatch.effects.plan import make_plan
-from mrbatch.errors import InputError, Place, ResourceError
+from mrbatch.errors import InputError, JobError, Place, ResourceError
 from mrbatch.film.exr import choose_colour_type
 from mrbatch.film.guides import NEED
 from mrbatch.film.layers import needs
@@ -36,6 +37,7 @@ from mrbatch.job.paths import job_paths
 from mrbatch.job.resolve import pixel_relevant, placeless
 from mrbatch.scene.build import CameraOf, build_scene, needs_cameras, scene_files
 from mrbatch.scene.camera import Camera
+from mrbatch.scene.motion import Clock
 from mrbatch.scene.scene import Scene
 
 
@@ -53,6 +55,12 @@ class Prepared:
     windows: Mapping[str, Window]
     layers: tuple[str, ...]
     needs: frozenset[str]
+
+    @property
+    def exposure(self) -> Exposure:
+        """What of each frame is known before its picture is read."""
+        announced = {*self.shot.frames, *(int(n) for n in self.shot.table.get("absent", {}))}
+        return Exposure(self.job, self.capture, self.shot.table, self.scene, self.display, sorted(announced))
 
     @property
     def absent(self) -> dict[int, InputError]:
@@ -196,6 +204,8 @@ def prepare(
             cameras = _cameras(capture, table)
             scene = build_scene(job.environment, job.real, job.virtual, cameras, turned(table))
     facts: CaptureFacts = capture.facts(table)
+    if scene.plays:
+        scene = scene.by(clock_of(table, facts))
     numbers = shot.frames if shot else tuple(int(n) for n in capture.frame_numbers())
     if not numbers:
         raise InputError("the capture has no usable frame")
@@ -222,6 +232,17 @@ def _cameras(capture: Capture, table: Mapping[str, Any]) -> CameraOf:
     return lambda number: next(iter(capture.geometry(number, table).values())).camera
 
 
+def clock_of(table: Mapping[str, Any], facts: CaptureFacts) -> Clock:
+    """Which second each frame is shown at. Raises InputError where nothing tells."""
+    frames, seconds = (np.asarray(table.get(key, ()), dtype=np.float64) for key in ("frames", "times"))
+    if facts.frame_rate is None or not len(frames) or len(frames) != len(seconds):
+        raise InputError(
+            "the footage does not say how fast it runs, so no `clip` can be played",
+            hint="give `capture.frame_rate`",
+        )
+    return Clock(frames, seconds, float(facts.frame_rate))
+
+
 def _first_geometry(
     capture: Capture, table: Mapping[str, Any], numbers: tuple[int, ...]
 ) -> Mapping[str, ViewGeometry]:
@@ -238,28 +259,11 @@ def first_cameras(prepared: Prepared) -> Mapping[str, Camera]:
     return {name: view.camera for name, view in geometry.items()}
 
 
-def _usable_facts(
-    capture: Capture,
-    table: Mapping[str, Any],
-    numbers: tuple[int, ...],
-    display: Mapping[str, tuple[int, int]],
-) -> Iterator[FrameFacts]:
+def _usable_facts(exposure: Exposure, numbers: tuple[int, ...]) -> Iterator[FrameFacts]:
     """Of every frame that is not broken; a broken one says so when it is rendered."""
     for number in numbers:
         with contextlib.suppress(InputError):
-            yield frame_facts(capture, table, number, display)
-
-
-def frame_facts(
-    capture: Capture, table: Mapping[str, Any], number: int, display: Mapping[str, tuple[int, int]]
-) -> FrameFacts:
-    """Cameras in output pixels, and gains, of one frame."""
-    geometry = capture.geometry(number, table)
-    return FrameFacts(
-        number,
-        {name: view.camera.scaled(*display[name]) for name, view in geometry.items()},
-        {name: np.asarray(view.gain, dtype=np.float64) for name, view in geometry.items()},
-    )
+            yield exposure.frame(number)
 
 
 def _plan(
@@ -274,7 +278,10 @@ def _plan(
     wanted: frozenset[str],
 ) -> Shot:
     display, _ = output_views(job, _first_geometry(capture, table, numbers))
-    frames = tuple(_usable_facts(capture, table, numbers, display))
+    announced = sorted({*numbers, *(int(n) for n in table.get("absent", {}))})
+    exposure = Exposure(job, capture, table, scene, display, announced)
+    # Where none can be used, the last one says why.
+    frames = tuple(_usable_facts(exposure, numbers)) or (exposure.frame(numbers[-1]),)
     shot_facts = ShotFacts(
         scene=scene,
         frames=frames,
@@ -285,6 +292,11 @@ def _plan(
         everywhere=bool(job.participants),
     )
     plan = make_plan(_rules(job), shot_facts, job.effects)
+    for part, effect in (("lens", "depth-of-field"), ("shutter", "motion-blur")):
+        if getattr(job, part) is not None and effect not in plan.effects:
+            raise JobError(
+                f"the method `{job.method_name}` does not simulate `{part}`", hint=f"leave out `{part}`"
+            )
     most_gain = max(float(np.max(g)) for f in frames for g in f.gains.values())
     sources = [float(scene.environment.radiance.max(initial=0.0))]
     sources += [float(o.material.most_emission.max()) for o in scene.virtual]

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from mrbatch import __version__
+from mrbatch.batch.exposure import looks_at, pinholes
 from mrbatch.batch.framing import framed
-from mrbatch.batch.prepare import Prepared, first_cameras, frame_facts
+from mrbatch.batch.prepare import Prepared, first_cameras
 from mrbatch.device.runner import Runner
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import InputError
@@ -82,7 +83,15 @@ class ShotRenderer:
             )
             for index, (name, camera) in enumerate(cameras.items())
         )
-        self.outputs = Outputs(views, prepared.needs, job.seed, shot.engine)  # type: ignore[arg-type]
+        self.outputs = Outputs(
+            views,
+            prepared.needs,
+            job.seed,
+            shot.engine,  # type: ignore[arg-type]
+            lens=shot.plan.does("depth-of-field"),
+            shutter=shot.plan.does("motion-blur"),
+        )
+        self.exposure = prepared.exposure
         with timing.measure("upload"):
             self.scene = upload(prepared.scene, shot.engine)  # type: ignore[arg-type]
         with timing.measure("build"):
@@ -135,11 +144,15 @@ class ShotRenderer:
         if later is None:
             return {}
         try:
-            return frame_facts(
-                self.prepared.capture, self.prepared.shot.table, later, self.prepared.display
-            ).cameras
+            geometry = self.prepared.capture.geometry(later, self.prepared.shot.table)
+            return pinholes(geometry, self.prepared.display)
         except InputError:
             return {}  # the next frame has no camera, so nothing is known to move
+
+    def _show(self, time: float, number: int) -> None:
+        """Puts the scene where it is at a moment of a frame."""
+        with self.renderer.timing.measure("move"):
+            self.scene.show(time, number)
 
     def render(self, number: int, history: Mapping[str, np.ndarray] | None) -> RenderedFrame:
         """One frame. Raises InputError where its picture cannot be read."""
@@ -147,6 +160,7 @@ class ShotRenderer:
         prepared = self.prepared
         timing = TimingNode(f"frame {number}")
         with timing.measure("read"):
+            exposed = self.exposure.frame(number)
             data = prepared.capture.frame(number, prepared.shot.table)
             next_number = self._next_number(number)
             later = self._next_cameras(next_number)
@@ -160,7 +174,7 @@ class ShotRenderer:
                 size, window = prepared.display[view.name], prepared.windows[view.name]
                 photo = framed(given.background, size, view.whole)
                 views[view.name] = ViewInput(
-                    camera=given.camera.scaled(*size),
+                    camera=exposed.cameras[view.name],
                     background=framed(photo, size, window),
                     gain=np.asarray(given.gain, dtype=np.float64),
                     next_camera=later.get(view.name),
@@ -178,6 +192,7 @@ class ShotRenderer:
             self.samples,
             tiles=tiles,
             history=history,
+            looks=looks_at(exposed, prepared.scene, views, self._show) if self.outputs.shutter else (),
             progress=lambda share: self.progress(number, share),
         )
         smoothed: dict[str, Developed] = {}
@@ -204,6 +219,7 @@ class ShotRenderer:
                 noise[view.name] = noise_of(relative, changed, (window.x, window.y))
                 maps[view.name] = noise_map(relative, changed).as_dict()
         counters = timing.total_counters()
+        flags = (*data.flags, *(self.exposure.flags(number) if self.outputs.shutter else ()))
         job, shot = prepared.job, prepared.shot
         metadata = {
             "job_hash": prepared.job_hash,
@@ -224,7 +240,7 @@ class ShotRenderer:
                 "95 % interval, from 16x16 tiles",
             },
             "versions": self._versions,
-            "flags": list(data.flags),
+            "flags": list(flags),
         }
         if self._smooth is not None:
             metadata["filter"] = {
@@ -249,7 +265,7 @@ class ShotRenderer:
         worst = max(noise.values(), key=lambda found: found.relmse)
         details = {
             "time": data.time,
-            "flags": list(data.flags),
+            "flags": list(flags),
             "threads": self.runner.threads,
             "units_per_launch": self.runner.units_per_launch or "by number of units and threads",
             "error": worst.relmse,

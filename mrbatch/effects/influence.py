@@ -34,7 +34,7 @@ class Influence:
 def screen_rectangle(camera: Camera, bounds: Box) -> tuple[float, float, float, float] | None:
     """Pixels (x0, y0, x1, y1) that a box may cover; everything where it reaches behind the camera; None
     where it is wholly behind."""
-    pixels, depth = camera.project(bounds.corners)
+    pixels, depth = camera.project_through_rim(bounds.corners)
     near = NEAR_PLANE * max(bounds.radius, float(np.finfo(np.float32).tiny))
     if camera.model != "perspective":
         return (-np.inf, -np.inf, np.inf, np.inf)
@@ -44,7 +44,7 @@ def screen_rectangle(camera: Camera, bounds: Box) -> tuple[float, float, float, 
         if np.all(depth > near) and np.any(camera.distortion != 0):
             return _distorted_rectangle(camera, bounds)
         return (-np.inf, -np.inf, np.inf, np.inf)
-    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
+    (x0, y0), (x1, y1) = pixels.min(axis=(0, 1)), pixels.max(axis=(0, 1))
     return (x0, y0, x1, y1)
 
 
@@ -53,10 +53,10 @@ def _distorted_rectangle(camera: Camera, bounds: Box) -> tuple[float, float, flo
     t = np.linspace(0, 1, 9)
     grid = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
     grid = grid[np.any((grid == 0) | (grid == 1), axis=1)]
-    pixels, _ = camera.project(bounds.low + grid * (bounds.high - bounds.low))
+    pixels, _ = camera.project_through_rim(bounds.low + grid * (bounds.high - bounds.low))
     if not np.isfinite(pixels).all():
         return (-np.inf, -np.inf, np.inf, np.inf)
-    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
+    (x0, y0), (x1, y1) = pixels.min(axis=(0, 1)), pixels.max(axis=(0, 1))
     sx, sy = (x1 - x0) / 8, (y1 - y0) / 8
     return (x0 - sx, y0 - sy, x1 + sx, y1 + sy)
 
@@ -95,26 +95,36 @@ def _pixel_directions(camera: Camera, x: np.ndarray, y: np.ndarray) -> np.ndarra
     return local @ camera.world_from_camera[:3, :3].T
 
 
-def _surface_boxes(
+def seen_part(
     camera: Camera, tiles: np.ndarray, bounds: Box, plane: Side | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes (n, 3) low and high that hold the part of a surface seen in each tile."""
+    """Boxes (n, 3) low and high that hold the part of a surface seen in each of `tiles` (n, 4) pixels
+    x0, y0, x1, y1; NaN where none is.
+
+    Where a plane is met is projective in the pixel and in the point of the lens, so the corners of both tell.
+    """
     n = len(tiles)
     low = np.broadcast_to(bounds.low, (n, 3)).copy()
     high = np.broadcast_to(bounds.high, (n, 3)).copy()
     if plane is None or camera.model != "perspective":
         return low, high
     normal, offset = plane
-    eye = camera.world_from_camera[:3, 3]
+    centre = camera.world_from_camera[:3, 3]
+    eyes = centre[None]
+    if camera.lens is not None:
+        eyes = centre + camera.lens.rim @ camera.world_from_camera[:3, :2].T
     x = np.stack([tiles[:, 0], tiles[:, 2], tiles[:, 0], tiles[:, 2]], axis=1).astype(np.float64)
     y = np.stack([tiles[:, 1], tiles[:, 1], tiles[:, 3], tiles[:, 3]], axis=1).astype(np.float64)
     x += np.array([-1, 1, -1, 1]) * MARGIN
     y += np.array([-1, -1, 1, 1]) * MARGIN
-    d = _pixel_directions(camera, x.ravel(), y.ravel()).reshape(n, 4, 3)
+    d = _pixel_directions(camera, x.ravel(), y.ravel()).reshape(n, 4, 1, 3)
+    if camera.lens is not None:
+        d = centre + camera.lens.focus * d - eyes
+    heights = offset - eyes @ normal
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = (offset - eye @ normal) / (d @ normal)
-    good = np.all(np.isfinite(t) & (t > 0), axis=1)
-    points = eye + t[..., None] * d
+        t = heights / (d @ normal)
+    good = np.all(np.isfinite(t) & (t > 0), axis=(1, 2)) & (np.ptp(np.sign(heights)) == 0)
+    points = (eyes + t[..., None] * d).reshape(n, 4 * len(eyes), 3)
     size = 8 * np.spacing(np.float32(np.abs(np.stack([bounds.low, bounds.high])).max()))
     low[good] = np.maximum(points[good].min(axis=1) - size, bounds.low)
     high[good] = np.minimum(points[good].max(axis=1) + size, bounds.high)
@@ -135,16 +145,15 @@ class InfluenceMask:
         self.light_change = light_change
         self._bounds: LightBounds | None = None
 
-    def bounds(self, frame: int) -> LightBounds:
-        """Of a still scene the same for all frames, and found once."""
+    def bounds(self, time: float, frame: int) -> LightBounds:
+        """At a moment of a frame; of a still scene the same for all, and found once."""
         if self._bounds is None or self.facts.scene.moves:
-            self._bounds = LightBounds(self.facts.scene.at(frame), exact=self.facts.half_code == 0.0)
+            self._bounds = LightBounds(self.facts.scene.at(time, frame), exact=self.facts.half_code == 0.0)
         return self._bounds
 
     def tiles(self, frame: FrameFacts, view: str) -> Influence:
         """The tiles of one view of one frame where virtual objects may change something."""
         window: Window = self.facts.windows[view]
-        camera = frame.cameras[view]
         tiles = window.tile_rectangles()
         if self.facts.everywhere:
             every = np.arange(len(tiles), dtype=np.int32)
@@ -153,22 +162,24 @@ class InfluenceMask:
             return Influence(np.zeros(0, np.int32), 0, 0, "there is no virtual object")
         seen = np.zeros(len(tiles), dtype=bool)
         changed = np.zeros(len(tiles), dtype=bool)
-        bounds = self.bounds(frame.number)
-        for body in bounds.virtual:
-            if body.item.camera:
-                seen |= _overlaps(tiles, screen_rectangle(camera, body.box))
         gain = np.asarray(frame.gains[view], dtype=np.float64)
         receivers = 0
-        for body in bounds.real if self.light_change else ():
-            if not (body.item.camera and body.item.receive):
-                continue
-            here = _overlaps(tiles, screen_rectangle(camera, body.box))
-            if not here.any():
-                continue
-            receivers += 1
-            # What is known to change, or to be done anyway, needs no bound.
-            rows = np.nonzero(here & ~seen & ~changed)[0]
-            changed[rows] = self._may_change(bounds, body, camera, tiles[rows], gain)
+        for moment in frame.looks:
+            camera = moment.cameras[view]
+            bounds = self.bounds(moment.time, frame.number)
+            for body in bounds.virtual:
+                if body.item.camera:
+                    seen |= _overlaps(tiles, screen_rectangle(camera, body.box))
+            for body in bounds.real if self.light_change else ():
+                if not (body.item.camera and body.item.receive):
+                    continue
+                here = _overlaps(tiles, screen_rectangle(camera, body.box))
+                if not here.any():
+                    continue
+                receivers += 1
+                # What is known to change, or to be done anyway, needs no bound.
+                rows = np.nonzero(here & ~seen & ~changed)[0]
+                changed[rows] = self._may_change(bounds, body, camera, tiles[rows], gain)
         ids = np.nonzero(seen | changed)[0].astype(np.int32)
         more = int((changed & ~seen).sum())
         if len(ids) == 0:
@@ -186,13 +197,16 @@ class InfluenceMask:
         self, bounds: LightBounds, surface: Body, camera: Camera, tiles: np.ndarray, gain: np.ndarray
     ) -> np.ndarray:
         """(n,): where the light on a surface seen in the tiles may change by half a code value."""
-        low, high = _surface_boxes(camera, tiles, surface.box, surface.plane)
+        low, high = seen_part(camera, tiles, surface.box, surface.plane)
         side: Side | None = None
         if surface.plane is not None:
             # Points of a plane see only what is on the side that the camera sees.
             normal, offset = surface.plane
-            sign = float(np.sign(camera.world_from_camera[:3, 3] @ normal - offset))
-            side = (normal * sign, offset * sign)
+            height = float(camera.world_from_camera[:3, 3] @ normal - offset)
+            # A lens that reaches through the plane sees both sides.
+            if camera.lens is None or abs(height) > float(np.abs(camera.lens.rim).sum(axis=1).max()):
+                sign = float(np.sign(height))
+                side = (normal * sign, offset * sign)
         found = np.zeros(len(tiles), dtype=bool)
         there = np.isfinite(low[:, 0])
         bound = bounds.change(surface, Boxes(low[there], high[there]), side)

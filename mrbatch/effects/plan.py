@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,10 @@ class Plan:
     def on(self, effect: str) -> bool:
         """Whether an effect is simulated. Raises KeyError for one that no rule knows."""
         return self.effects[effect].state in ON
+
+    def does(self, effect: str) -> bool:
+        """Whether an effect is simulated; one that no rule knows is not."""
+        return effect in self.effects and self.on(effect)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready: the effects with evidence, and the number of tiles by frame and view."""
@@ -78,9 +82,13 @@ def make_plan(rules: Sequence[Rule], facts: ShotFacts, forced: Mapping[str, str]
             effects[rule.effect] = verdict
     tiles: dict[tuple[int, str], np.ndarray] = {}
     words: dict[tuple[int, str], str] = {}
-    changes = "light-change" in effects and effects["light-change"].state in ON
-    mask = InfluenceMask(facts, light_change=changes)
+    plan = Plan(effects)
+    mask = InfluenceMask(facts, light_change=plan.does("light-change"))
     for frame in facts.frames:
+        if not plan.does("depth-of-field"):
+            frame = frame.without_lens()
+        if not plan.does("motion-blur"):
+            frame = replace(frame, moments=())
         for view in facts.windows:
             found = mask.tiles(frame, view)
             tiles[frame.number, view] = found.tiles

@@ -5,15 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mrbatch.contracts import Rule, Verdict
+from mrbatch.effects.camera_rules import DEPTH_OF_FIELD, MOTION_BLUR
 from mrbatch.effects.facts import ShotFacts
-
-
-def absent(why: str) -> Verdict:
-    return Verdict("absent", why, bound=0.0)
-
-
-def needed(why: str, **numbers: float) -> Verdict:
-    return Verdict("needed", why, numbers)
+from mrbatch.effects.verdict import absent, needed
 
 
 def _virtual(facts: ShotFacts) -> Verdict:
@@ -144,6 +138,8 @@ PATH_RULES = (
     HOLDOUT,
     RECEIVE,
     DISTORTION,
+    DEPTH_OF_FIELD,
+    MOTION_BLUR,
     ENVIRONMENT,
 )
 """What surfaces, light and lens may call for, whatever a method makes of the light change."""

@@ -28,15 +28,21 @@ def bind_view(
     params.seed = wp.uint32(outputs.seed)
     params.frame = frame.number
     params.view = view.index
-    params.photo = photo_struct(view, frame, params.camera, photo, outputs.device)
+    # The photo's reflectance is told once a frame, by the camera of the frame's own time.
+    own = params.camera
+    if given.frame_camera is not None:
+        own = camera_data(given.frame_camera, scene.scene.origin)
+    params.photo = photo_struct(view, frame, own, photo, outputs.device)
     film = outputs.layout(view).data(frame.buffers, given.background)
-    later = given.next_camera or given.camera
+    later = given.next_camera or given.frame_camera or given.camera
     there = camera_data(later, scene.scene.origin)
-    shifts = given.shifts
-    if shifts is None:
-        # The last frame of a shot tells motion to itself.
-        shifts = np.tile(np.eye(4), (len(scene.scene.objects) or 1, 1, 1))
-    hits = first_hit_data(view, outputs, frame.buffers, there, shifts)
+    # The last frame of a shot tells motion to itself.
+    still = np.tile(np.eye(4), (len(scene.scene.objects) or 1, 1, 1))
+    shifts = still if given.shifts is None else given.shifts
+    hits = first_hit_data(view, outputs, frame, there, shifts)
+    hits.frame_camera = own
+    home = still if given.home is None else given.home
+    hits.home = wp.array(home.astype(np.float32), dtype=wp.mat44, device=outputs.device)
     if not photo:
         return params, film, hits
     whole = given.background if given.photo is None else given.photo

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mrbatch.scene.camera import Camera
+from mrbatch.scene.lens import Lens
 
 NEAR = 0.01
 """Metres to the near plane of `worldToNDC`, whose z is 1 - NEAR / depth; readers discard z."""
@@ -51,7 +52,8 @@ def screen_window(camera: Camera) -> tuple[float, tuple[float, float]]:
 
 def described(camera: Camera) -> dict[str, Any]:
     """The camera as JSON-ready values, exact to the last bit."""
-    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(camera).items()}
+    found = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(camera).items()}
+    return {k: v for k, v in found.items() if v is not None}
 
 
 def from_description(values: Any) -> Camera | None:
@@ -61,6 +63,7 @@ def from_description(values: Any) -> Camera | None:
     try:
         shapes = {"matrix": (3, 3), "distortion": (8,), "world_from_camera": (4, 4)}
         arrays = {k: np.array(values[k], dtype=np.float64).reshape(shape) for k, shape in shapes.items()}
-        return Camera(values["width"], values["height"], model=values["model"], **arrays)
+        lens = Lens(**values["lens"]) if "lens" in values else None
+        return Camera(values["width"], values["height"], model=values["model"], lens=lens, **arrays)
     except (KeyError, TypeError, ValueError):
         return None

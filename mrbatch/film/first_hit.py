@@ -1,6 +1,7 @@
 """Data layers of what is virtual: depth, normal, albedo, motion and object coverage at first hits.
 
-A pass of its own over a fixed number of camera rays, run only where a layer asks for it.
+A pass of its own over a fixed number of camera rays, run only where a layer asks for it. While the shutter is
+open the rays are shared by its moments, and what they find is added up.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from mrbatch.contracts import Buffer, Counter, Pass
 from mrbatch.device.rays import FAR, Engine, rays
 from mrbatch.film.accumulator import FilmData, film_pixel
 from mrbatch.film.layers import NOTHING
-from mrbatch.film.outputs import Outputs, ViewOutput
+from mrbatch.film.outputs import FrameInput, Outputs, ViewOutput
 from mrbatch.film.pixel_pass import pixel_pass
-from mrbatch.kernels.camera import CameraData, make_camera
+from mrbatch.kernels.camera import DIM_LENS, CameraData, make_camera, through_lens
 from mrbatch.kernels.rng import make_sampler, pixel_key
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.frame_params import FrameParams
@@ -42,8 +43,17 @@ COUNTERS = (Counter("camera rays", "rays", "rays from the camera for data layers
 class FirstHitData:
     """Arrays over the window's pixels; those that are not asked for have length 1. `next_camera` is the
     camera of the next frame, `shifts` take points of each object to where they are then. `ranks` holds
-    object numbers plus one, `share` their coverage."""
+    object numbers plus one, `share` their coverage. While the shutter is open: `samples` a moment, from
+    `first`, `home` takes points to where they are at the frame's own time, `frame_camera` is its camera,
+    `hits` the samples so far that met something, and `last` tells the last moment."""
 
+    first: wp.int32
+    samples: wp.int32
+    last: wp.int32
+    weight: wp.float32
+    hits: wp.array(dtype=wp.int32)
+    home: wp.array(dtype=wp.mat44)
+    frame_camera: CameraData
     next_camera: CameraData
     shifts: wp.array(dtype=wp.mat44)
     depth: wp.array(dtype=wp.float32)
@@ -66,6 +76,10 @@ class Wanted:
     """Which objects are seen: for masks by the name of the object or of its material."""
     moving: bool = False
     """Objects move from frame to frame."""
+    lens: bool = False
+    """The lens has a width."""
+    shutter: bool = False
+    """Samples are shared by the moments of an exposure."""
 
     @property
     def any(self) -> bool:
@@ -94,6 +108,8 @@ def first_hit_buffers(view: ViewOutput, outputs: Outputs) -> tuple[Buffer, ...]:
     if wants.names:
         found.append(Buffer(_name(view, "ranks"), (n, int(RANKS)), "int32", "frame"))
         found.append(Buffer(_name(view, "share"), (n, int(RANKS)), "float32", "frame"))
+    if outputs.shutter and wants.motion:
+        found.append(Buffer(_name(view, "hits"), (n,), "int32", "frame"))
     return tuple(found)
 
 
@@ -136,12 +152,31 @@ def _make_kernel(
         motion = wp.vec2(0.0, 0.0)
         hits = int(0)
         further = int(0)
+        count = int(SAMPLES)
         weight = 1.0 / float(SAMPLES)
-        for n in range(int(SAMPLES)):
+        if wp.static(wants.shutter):
+            count = out.samples
+            weight = out.weight
+            if wp.static(wants.depth):
+                if out.first > 0:
+                    depth = out.depth[pixel.index]
+            if wp.static(wants.normal):
+                normal = out.normal[pixel.index]
+            if wp.static(wants.albedo):
+                albedo = out.albedo[pixel.index]
+            if wp.static(wants.motion):
+                motion = out.motion[pixel.index]
+                hits = out.hits[pixel.index]
+        for i in range(count):
+            n = i
+            if wp.static(wants.shutter):
+                n = out.first + i
             shift = offset(sample_2d(key, n, 0))
             x = float(pixel.x) + 0.5 + shift[0]
             y = float(pixel.y) + 0.5 + shift[1]
             primary = camera_ray(frame.camera, x, y)
+            if wp.static(wants.lens):
+                primary = through_lens(frame.camera, primary, sample_2d(key, n, DIM_LENS))
             if primary.ok:
                 hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
                 if wp.static(see_through.on):
@@ -161,10 +196,16 @@ def _make_kernel(
                             albedo += surface_at(scene, frame.photo, point).reflectance * weight
                         if wp.static(wants.motion):
                             p = point.p
+                            if wp.static(wants.shutter and wants.moving):
+                                p = wp.transform_point(out.home[point.object], p)
+                            here = wp.vec3(x, y, 1.0)
+                            if wp.static(wants.lens or wants.shutter):
+                                # A blurred point is not where its sample is.
+                                here = camera_project(out.frame_camera, p)
                             if wp.static(wants.moving):
                                 p = wp.transform_point(out.shifts[point.object], p)
                             then = camera_project(out.next_camera, p)
-                            motion += wp.vec2(then[0] - x, then[1] - y)
+                            motion += wp.vec2(then[0] - here[0], then[1] - here[1])
                         if wp.static(wants.names):
                             placed = int(0)
                             for rank in range(int(RANKS)):
@@ -180,18 +221,31 @@ def _make_kernel(
         if wp.static(wants.albedo):
             out.albedo[pixel.index] = albedo
         if wp.static(wants.motion):
-            if hits > 0:
+            if wp.static(wants.shutter):
+                out.hits[pixel.index] = hits
+                if out.last == 0:
+                    hits = 1
+                out.motion[pixel.index] = motion / float(wp.max(hits, 1))
+            elif hits > 0:
                 out.motion[pixel.index] = motion / float(hits)
-        wp.atomic_add(counters, 0, wp.int64(int(SAMPLES) + further))
+        wp.atomic_add(counters, 0, wp.int64(count + further))
 
     return first_hit
 
 
 def first_hit_data(
-    view: ViewOutput, outputs: Outputs, buffers: Any, next_camera: Any, shifts: np.ndarray
+    view: ViewOutput, outputs: Outputs, frame: FrameInput, next_camera: Any, shifts: np.ndarray
 ) -> Any:
-    """`FirstHitData` over allocated buffers; `shifts` (objects, 4, 4) as in `ViewInput`."""
+    """`FirstHitData` over the frame's buffers; `shifts` (objects, 4, 4) as in `ViewInput`."""
     data = FirstHitData()
+    buffers = frame.buffers
+    data.samples = -(-int(SAMPLES) // frame.moments)
+    data.first = frame.moment * data.samples
+    data.weight = 1.0 / (data.samples * frame.moments)
+    data.last = int(frame.moment == frame.moments - 1)
+    data.hits = buffers.get(_name(view, "hits"))
+    if data.hits is None:
+        data.hits = wp.zeros(1, dtype=wp.int32, device=outputs.device)
     data.shifts = wp.array(shifts.astype(np.float32), dtype=wp.mat44, device=outputs.device)
     data.next_camera = next_camera
     dtypes = {"depth": wp.float32, "normal": wp.vec3, "albedo": wp.vec3, "motion": wp.vec2}
@@ -219,7 +273,7 @@ def first_hit_pass(
 
     The context's `bound[view]` must start with FrameParams, FilmData and FirstHitData.
     """
-    wants = replace(wanted(outputs), moving=scene.scene.moves)
+    wants = replace(wanted(outputs), moving=scene.scene.moves, lens=outputs.lens, shutter=outputs.shutter)
     if not wants.any:
         return None
     shading = ShadingFlags(
@@ -242,6 +296,7 @@ def first_hit_pass(
         ],
         writes=tuple(b.name for b in first_hit_buffers(view, outputs)),
         counters=COUNTERS,
+        each_moment=True,
         device=outputs.device,
     )
 

@@ -18,7 +18,7 @@ from mrbatch.device.rays import FAR, Engine, rays
 from mrbatch.film.accumulator import FilmData, film_pixel
 from mrbatch.film.outputs import Outputs, ViewOutput
 from mrbatch.film.pixel_pass import pixel_pass
-from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.camera import DIM_LENS, make_camera, through_lens
 from mrbatch.kernels.rng import make_sampler, pixel_key
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.frame_params import FrameParams
@@ -63,12 +63,17 @@ class Guides:
 
 @wp.struct
 class GuideData:
-    """Side (0 virtual, 1 real) by pixel of the window."""
+    """Side (0 virtual, 1 real) by pixel of the window. `hits`: samples so far that met a side; while the
+    shutter is open: `samples` a moment, from `first`, `last` tells the last moment."""
 
     object: wp.array2d(dtype=wp.int32)
     normal: wp.array2d(dtype=wp.vec3)
     position: wp.array2d(dtype=wp.vec3)
     reflectance: wp.array2d(dtype=wp.vec3)
+    hits: wp.array2d(dtype=wp.int32)
+    first: wp.int32
+    samples: wp.int32
+    last: wp.int32
 
 
 def _name(view: ViewOutput, part: str) -> str:
@@ -80,7 +85,9 @@ def guide_buffers(view: ViewOutput, outputs: Outputs) -> tuple[Buffer, ...]:
     if NEED not in outputs.needs:
         return ()
     n = view.window.pixels
+    hits = (Buffer(_name(view, "hits"), (2, n), "int32", "frame"),) if outputs.shutter else ()
     return (
+        *hits,
         Buffer(_name(view, "object"), (2, n), "int32", "frame"),
         *(Buffer(_name(view, part), (2, n, 3), "float32", "frame") for part in _VECTORS),
     )
@@ -88,7 +95,13 @@ def guide_buffers(view: ViewOutput, outputs: Outputs) -> tuple[Buffer, ...]:
 
 @functools.cache
 def _make_kernel(
-    engine: Engine, model: str, distortion: bool, pixel_filter: str, shading: ShadingFlags
+    engine: Engine,
+    model: str,
+    distortion: bool,
+    pixel_filter: str,
+    shading: ShadingFlags,
+    lens: bool,
+    shutter: bool,
 ) -> Any:
     trace = rays(engine).trace
     camera = make_camera(model, distortion)  # type: ignore[arg-type]
@@ -122,11 +135,22 @@ def _make_kernel(
         hits = wp.vec2i(0, 0)
         further = int(0)
         owner = wp.vec2i(0, 0)
-        for n in range(int(SAMPLES)):
+        count = int(SAMPLES)
+        if wp.static(shutter):
+            count = out.samples
+            for side in range(2):
+                hits[side] = out.hits[side, pixel.index]
+                owner[side] = out.object[side, pixel.index]
+        for i in range(count):
+            n = i
+            if wp.static(shutter):
+                n = out.first + i
             shift = offset(sample_2d(key, n, 0))
             x = float(pixel.x) + 0.5 + shift[0]
             y = float(pixel.y) + 0.5 + shift[1]
             primary = camera_ray(frame.camera, x, y)
+            if wp.static(lens):
+                primary = through_lens(frame.camera, primary, sample_2d(key, n, DIM_LENS))
             if primary.ok:
                 hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)
                 if wp.static(see_through.on):
@@ -151,11 +175,15 @@ def _make_kernel(
                         out.reflectance[side, pixel.index] = out.reflectance[side, pixel.index] + reflectance
         for side in range(2):
             weight = 1.0 / float(wp.max(hits[side], 1))
+            if wp.static(shutter):
+                out.hits[side, pixel.index] = hits[side]
+                if out.last == 0:
+                    weight = 1.0
             out.object[side, pixel.index] = owner[side]
             out.normal[side, pixel.index] = out.normal[side, pixel.index] * weight
             out.position[side, pixel.index] = out.position[side, pixel.index] * weight
             out.reflectance[side, pixel.index] = out.reflectance[side, pixel.index] * weight
-        wp.atomic_add(counters, 0, wp.int64(int(SAMPLES) + further))
+        wp.atomic_add(counters, 0, wp.int64(count + further))
 
     return guides
 
@@ -170,7 +198,7 @@ def guide_pass(
 ) -> Pass | None:
     """The pass, or None where no filter asks for it.
 
-    The context's `bound[view]` must start with FrameParams and FilmData.
+    The context's `bound[view]` must start with FrameParams, FilmData and FirstHitData.
     """
     if NEED not in outputs.needs:
         return None
@@ -181,13 +209,19 @@ def guide_pass(
         cutouts=shading.cutouts,
         panes=shading.panes,
     )
-    kernel = _make_kernel(scene.engine, view.model, distortion, pixel_filter, shading)
+    kernel = _make_kernel(
+        scene.engine, view.model, distortion, pixel_filter, shading, outputs.lens, outputs.shutter
+    )
 
     def inputs(context: Any) -> list[Any]:
         data = GuideData()
         data.object = context.buffers[_name(view, "object")]
         for part in _VECTORS:
             setattr(data, part, context.buffers[_name(view, part)].view(wp.vec3))
+        hits = context.bound[view.name][2]
+        data.first, data.samples, data.last = hits.first, hits.samples, hits.last
+        if outputs.shutter:
+            data.hits = context.buffers[_name(view, "hits")]
         return [scene.data, *context.bound[view.name][:2], data]
 
     return pixel_pass(
@@ -197,6 +231,7 @@ def guide_pass(
         inputs,
         writes=tuple(b.name for b in guide_buffers(view, outputs)),
         counters=COUNTERS,
+        each_moment=True,
         device=outputs.device,
     )
 

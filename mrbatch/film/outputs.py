@@ -39,7 +39,8 @@ class Outputs:
     """Views and estimates (names of `mrbatch.film.layers.ESTIMATES`) that are asked for.
 
     `source`: under which name the pipeline's film is kept, `method` or a participant's own; a participant
-    puts it before the names of its buffers, so that two of one type do not share them.
+    puts it before the names of its buffers, so that two of one type do not share them. `lens`: it has a
+    width; `shutter`: frames are looked at at several moments.
     """
 
     views: tuple[ViewOutput, ...]
@@ -48,6 +49,8 @@ class Outputs:
     engine: Engine
     device: str = "cpu"
     source: str = "method"
+    lens: bool = False
+    shutter: bool = False
 
     def layout(self, view: ViewOutput, source: str | None = None) -> FilmLayout:
         """The film of a view, of this pipeline or another `source`: with D split where a layer needs it."""
@@ -60,7 +63,10 @@ class ViewInput:
     """One view of one frame on its data window: `background` (h, w, 3) float32, `gain` (3,), the camera
     of this frame and, where motion is asked for, of the next. `photo` (H, W, 3): the whole picture at
     the output's scale, where the data window is not all of it. `shifts` (objects, 4, 4): where points of each
-    object, relative to the scene's origin, are in the next frame; None where nothing moves."""
+    object, relative to the scene's origin, are in the next frame; None where nothing moves.
+
+    While the shutter is open `camera` is that of a moment, `frame_camera` that of the frame's own time, and
+    `home` (objects, 4, 4) takes points from where they are at the moment to where they are then."""
 
     camera: Camera
     background: np.ndarray
@@ -68,12 +74,17 @@ class ViewInput:
     next_camera: Camera | None = None
     photo: np.ndarray | None = None
     shifts: np.ndarray | None = None
+    frame_camera: Camera | None = None
+    home: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class FrameInput:
-    """What `Pipeline.bind` gets: the frame's number, its views, and the pipeline's arrays by name."""
+    """What `Pipeline.bind` gets: the frame's number, its views, and the pipeline's arrays by name; of a frame
+    that is looked at at several `moments` which `moment` it is, from 0."""
 
     number: int
     views: Mapping[str, ViewInput]
     buffers: Mapping[str, Any]
+    moment: int = 0
+    moments: int = 1

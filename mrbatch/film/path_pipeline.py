@@ -31,6 +31,8 @@ class CameraPathFlags(PathFlags):
     light_change: bool = True
     """Real surfaces are seen and can change."""
     holdout: bool = False
+    lens: bool = False
+    """The lens has a width."""
 
 
 def camera_path_flags(
@@ -70,6 +72,7 @@ def camera_path_flags(
         "virtual_seen": on("virtual"),
         "light_change": on("light-change"),
         "holdout": on("holdout"),
+        "lens": on("depth-of-field"),
     }
 
 

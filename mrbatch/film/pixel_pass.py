@@ -21,6 +21,7 @@ def pixel_pass(
     writes: tuple[str, ...] = (),
     counters: tuple[Counter, ...] = (),
     everywhere: bool = False,
+    each_moment: bool = False,
     device: str = "cpu",
 ) -> Pass:
     """A pass whose kernel takes what `inputs` gives, then the units and the first unit of the span,
@@ -51,4 +52,5 @@ def pixel_pass(
         kernels=(kernel,),
         counters=counters,
         everywhere=everywhere,
+        each_moment=each_moment,
     )

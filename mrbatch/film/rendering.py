@@ -25,6 +25,15 @@ class Source:
 
 
 @dataclass(frozen=True)
+class Look:
+    """One of the moments at which a frame is looked at while the shutter is open: `show` puts the scene
+    where it then is, `views` hold the cameras where they then are."""
+
+    show: Callable[[], None]
+    views: Mapping[str, ViewInput]
+
+
+@dataclass(frozen=True)
 class RenderedViews:
     """`estimates`: by view, then by source. `buffers`: arrays as the passes left them. `history`: host
     copies of the history buffers, or empty."""
@@ -77,12 +86,17 @@ class FrameRenderer:
         *,
         tiles: Mapping[str, np.ndarray] | None = None,
         history: Mapping[str, np.ndarray] | None = None,
+        looks: Sequence[Look] = (),
         progress: Callable[[float], None] = lambda share: None,
     ) -> RenderedViews:
         """One frame; `samples` a pixel, both halves together (rounded up to an even number).
 
         `progress(share)` is called before the first batch and after each. The first batch of the shot is
         a single pair of samples, so that its time is known early; batches change no bit.
+
+        `looks`: moments that share the samples of each half evenly, one after another, so that those of each
+        are a run of the sequence; `views` are then those of the frame's own time, at which the scene stands.
+        Raises ValueError where the samples of a half cannot be shared.
         """
         frame = FrameInput(number, views, self.buffers)
         for name, description in self._descriptions.items():
@@ -93,11 +107,13 @@ class FrameRenderer:
                     wp.copy(self.buffers[name], wp.array(history[name], dtype=self.buffers[name].dtype))
                 else:
                     self.buffers[name].zero_()
-        bound = {source.name: source.pipeline.bind(frame) for source in self.sources}
+        own = bound = self._bound(frame)
 
-        def run(kind: str, **counts: int) -> None:
+        def run(kind: str, *, each_moment: bool | None = None, **counts: int) -> None:
             for source in self.sources:
                 for step in getattr(source.pipeline, kind):
+                    if each_moment is not None and step.each_moment != each_moment:
+                        continue
                     units = None
                     if step.domain.kind == "pixels" and tiles is not None and not step.everywhere:
                         units = tiles.get(step.domain.view)
@@ -110,16 +126,27 @@ class FrameRenderer:
             self._run_shot()
         run("frame")
         per_half = (samples + 1) // 2
+        share = per_half // (len(looks) or 1)
+        if share * (len(looks) or 1) != per_half:
+            raise ValueError(f"{per_half} samples of a half cannot be shared by {len(looks)} moments")
         batch = max((source.pipeline.batch for source in self.sources), default=1)
         done = 0
         progress(0.0)
-        while done < per_half:
-            count = min(1 if first_of_shot and done == 0 else batch, per_half - done)
-            for half in (0, 1):
-                run("refine", half=half, first_sample=done, samples=count)
-            done += count
-            progress(done / per_half)
-        run("finish")
+        for number_of_look, look in enumerate(looks or (None,)):
+            if look is not None:
+                look.show()
+                bound = self._bound(FrameInput(number, look.views, self.buffers, number_of_look, len(looks)))
+            end = done + share
+            while done < end:
+                count = min(1 if first_of_shot and done == 0 else batch, end - done)
+                for half in (0, 1):
+                    run("refine", half=half, first_sample=done, samples=count)
+                done += count
+                progress(done / per_half)
+            if look is not None:
+                run("finish", each_moment=True)
+        bound = own
+        run("finish", each_moment=False if looks else None)
         estimates = {
             view.name: {
                 source.name: self.outputs.layout(view, source.name).develop(
@@ -135,6 +162,9 @@ class FrameRenderer:
             if description.lifetime == "history"
         }
         return RenderedViews(estimates, self.buffers, kept)
+
+    def _bound(self, frame: FrameInput) -> dict[str, Any]:
+        return {source.name: source.pipeline.bind(frame) for source in self.sources}
 
     def _run_shot(self) -> None:
         """Runs the passes of the shot: over their whole domains, with nothing of any frame, and timed as

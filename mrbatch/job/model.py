@@ -20,6 +20,7 @@ from mrbatch.methods.registry import METHODS, PARTICIPANTS
 from mrbatch.methods.registry import method as find_method
 from mrbatch.methods.registry import participant as find_participant
 from mrbatch.quantities import OutputPath, Settings
+from mrbatch.scene.camera_settings import LensSettings, ShutterSettings
 from mrbatch.scene.settings import Environment, RealObject, VirtualObject
 
 FILM_LAYERS = ("composite", "background", "variance", "samples")
@@ -170,6 +171,12 @@ class Job(Settings):
     virtual: Annotated[tuple[VirtualObject, ...], BeforeValidator(_to_tuple)] = Field(
         (), description="Objects that are put in"
     )
+    lens: LensSettings | None = Field(
+        None, description="The width of the camera's lens; none: everything virtual is sharp"
+    )
+    shutter: ShutterSettings | None = Field(
+        None, description="How long the shutter is open; none: everything virtual is seen at one moment"
+    )
     method: Annotated[Settings, Choice(METHODS, "name")] = Field(
         description="How the picture is computed, by `name`"
     )
@@ -265,6 +272,16 @@ class Job(Settings):
             raise problems(found)
         return value
 
+    @field_validator("lens")
+    @classmethod
+    def _focus(cls, value: LensSettings | None, info: Any) -> LensSettings | None:
+        if value is not None and value.focus_object is not None and {"real", "virtual"} <= info.data.keys():
+            names = [item.name for item in (*info.data["real"], *info.data["virtual"])]
+            if value.focus_object not in names:
+                error = problem(f"no object is called `{value.focus_object}`", choices=names)
+                raise problems([(("focus_object",), error, value.focus_object)])
+        return value
+
     @field_validator("method")
     @classmethod
     def _takes_capture(cls, value: Any, info: Any) -> Any:
@@ -276,6 +293,14 @@ class Job(Settings):
                     hint=f"it takes: {', '.join(kinds) or 'none'}",
                 )
                 raise problems([(("name",), error, value.name)])
+        shutter = info.data.get("shutter")
+        half = (getattr(value, "spp", 0) + 1) // 2
+        if shutter is not None and half % shutter.samples:
+            error = problem(
+                f"the {half} samples of each half cannot be shared evenly by {shutter.samples} moments",
+                hint=f"give `spp` a multiple of {2 * shutter.samples}, or other `shutter.samples`",
+            )
+            raise problems([(("spp",), error, value.spp)])
         return value
 
     @field_validator("output")

@@ -1,6 +1,7 @@
 """Camera rays and projection, as pairs of `wp.func`s: perspective (OpenCV's distortion), equirectangular.
 
-Pixel centres lie at half integers, row 0 at the top. Positions are relative to the scene's float64
+A lens of finite width is laid over either model's central ray (`through_lens`). Pixel centres lie at half
+integers, row 0 at the top. Positions are relative to the scene's float64
 origin, which the host subtracts before anything is rounded to float32.
 """
 
@@ -14,6 +15,8 @@ from typing import Any, Literal
 import numpy as np
 import warp as wp
 
+from mrbatch.kernels.sampling import concentric_disk
+
 Model = Literal["perspective", "equirectangular"]
 PERSPECTIVE = 0
 EQUIRECTANGULAR = 1
@@ -22,6 +25,8 @@ _MODELS = {"perspective": PERSPECTIVE, "equirectangular": EQUIRECTANGULAR}
 _PI = wp.constant(wp.float32(math.pi))
 _UNLIMITED = 3.0e38
 _NEWTON_STEPS = wp.constant(20)
+DIM_LENS = wp.constant(wp.int32(4))
+"""Dimension of the point on the lens: after that of the point in the pixel, before a path's first vertex."""
 
 
 @wp.struct
@@ -32,7 +37,8 @@ class CameraData:
     their reciprocals, for a division would be half of what a camera ray costs. `k1`..`k6`,
     `p1 p2`: OpenCV's coefficients. `radius2`: squared radius (tangent plane, undistorted) up to which
     the radial model grows and can be inverted. `rotation`: world_from_camera. `origin`: the camera's
-    position relative to the scene's origin. `model`: PERSPECTIVE or EQUIRECTANGULAR.
+    position relative to the scene's origin. `model`: PERSPECTIVE or EQUIRECTANGULAR. `lens_radius` metres,
+    and `focus`, the planar z that is sharp, metres: of a lens of finite width, else 0.
     """
 
     fx: wp.float32
@@ -56,6 +62,8 @@ class CameraData:
     model: wp.int32
     width: wp.int32
     height: wp.int32
+    lens_radius: wp.float32
+    focus: wp.float32
 
 
 @wp.struct
@@ -119,6 +127,9 @@ def camera_data(camera: Any, origin: np.ndarray) -> CameraData:
     data.model = _MODELS[camera.model]
     data.width = int(camera.width)
     data.height = int(camera.height)
+    lens = getattr(camera, "lens", None)
+    if lens is not None:
+        data.lens_radius, data.focus = float(lens.radius), float(lens.focus)
     data.rotation = wp.mat33(pose[:3, :3].astype(np.float32))
     data.origin = wp.vec3(*(float(c) for c in pose[:3, 3] - np.asarray(origin, dtype=np.float64)))
     data.radius2 = _UNLIMITED
@@ -219,6 +230,25 @@ def _undistort(cam: CameraData, xd: float, yd: float) -> wp.vec3:
     if det > 0.0 and error <= noise * noise:
         return wp.vec3(x, y, 1.0)
     return wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
+def through_lens(cam: CameraData, central: CameraRay, u: wp.vec2) -> CameraRay:
+    """The ray of the same pixel through a uniform point of the lens, which `u` in [0, 1)^2 chooses.
+
+    Thin lens: all rays of a pixel meet where its central ray meets the plane in focus (Potmesil and
+    Chakravarty, SIGGRAPH 1981; Cook, Porter and Carpenter, 1984). The central ray is the calibrated
+    pinhole's, distortion included, so a point at depth z spreads over 2 radius f |1/z - 1/focus| pixels, f
+    being the calibrated focal length, which is the distance of the picture behind the lens in pixels.
+    """
+    d = wp.transpose(cam.rotation) * central.direction
+    at = concentric_disk(u) * cam.lens_radius
+    off = wp.vec3(at[0], at[1], 0.0)
+    result = CameraRay()
+    result.ok = central.ok
+    result.origin = central.origin + cam.rotation * off
+    result.direction = wp.normalize(cam.rotation * (d * (cam.focus / d[2]) - off))
+    return result
 
 
 def make_camera(model: Model = "perspective", distortion: bool = False) -> CameraFuncs:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,10 @@ from mrbatch.effects.facts import FrameFacts, ShotFacts
 from mrbatch.effects.plan import Plan, make_plan
 from mrbatch.film.accumulator import Developed
 from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
-from mrbatch.film.rendering import FrameRenderer, Source
+from mrbatch.film.rendering import FrameRenderer, Look, Source
 from mrbatch.film.window import Window
 from mrbatch.scene.camera import Camera
+from mrbatch.scene.moment import Moment
 from mrbatch.scene.scene import Scene
 from mrbatch.scene.scene_data import upload
 
@@ -63,6 +64,7 @@ def estimate(
     half_code: float = 0.0,
     seed: int = 0,
     frame: int = 0,
+    moments: Sequence[Moment] = (),
     window: Window | None = None,
     engine: str = "auto",
     threads: int | None = None,
@@ -72,7 +74,8 @@ def estimate(
 
     `settings`: of the method, without its name. `background`: the photo (camera.height, camera.width, 3),
     or what of it lies on the data window (h, w, 3); black where None, and beyond the photo. `half_code`
-    as in `ShotFacts`.
+    as in `ShotFacts`. `moments`: at which scene and camera (of the view `""`) are looked at while the shutter
+    is open.
     """
     whole = Window(0, 0, camera.width, camera.height)
     window = window or whole
@@ -86,7 +89,7 @@ def estimate(
     g = np.asarray(tuple(gain), dtype=np.float64)
     facts = ShotFacts(
         scene=scene,
-        frames=(FrameFacts(frame, {"": camera}, {"": g}),),
+        frames=(FrameFacts(frame, {"": camera}, {"": g}, tuple(moments)),),
         windows={"": window},
         settings=model,
         layers=frozenset(needs),
@@ -102,14 +105,28 @@ def estimate(
         bool(np.any(camera.distortion != 0.0)),
         picture=None if photo is None else whole,
     )
-    outputs = Outputs((view,), frozenset(needs), seed, resolved)
+    blurred = plan.does("motion-blur")
+    outputs = Outputs(
+        (view,),
+        frozenset(needs),
+        seed,
+        resolved,
+        lens=plan.does("depth-of-field"),
+        shutter=blurred,
+    )
     device = upload(scene, resolved)
     pipeline = method.build(device, plan, model, outputs)
     device.show(frame)
     timing = TimingNode(method.name)
     with Runner(threads, units_per_launch=units_per_launch) as runner:
         renderer = FrameRenderer(runner, [Source("method", pipeline)], outputs, timing)
-        rendered = renderer.render(
-            frame, {"": ViewInput(camera, b, g, photo=photo)}, spp, tiles={"": plan.tiles[frame, ""]}
-        )
+        given = ViewInput(camera, b, g, photo=photo)
+        looks = [
+            Look(
+                lambda moment=moment: device.show(moment.time, frame),  # type: ignore[misc]
+                {"": replace(given, camera=moment.cameras[""], frame_camera=camera)},
+            )
+            for moment in (moments if blurred else ())
+        ]
+        rendered = renderer.render(frame, {"": given}, spp, tiles={"": plan.tiles[frame, ""]}, looks=looks)
     return Estimated(rendered.estimates[""]["method"], plan, timing, b)

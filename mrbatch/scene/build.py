@@ -23,11 +23,12 @@ from mrbatch.scene.environment_tables import Rows
 from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
 from mrbatch.scene.gltf_header import further_files
 from mrbatch.scene.gltf_material import material_from_gltf
+from mrbatch.scene.gltf_parts import Playing, moving_parts
 from mrbatch.scene.map_parallax import parallax_warning, seen_from
-from mrbatch.scene.mesh import Mesh, box, concatenate, icosphere, plane
-from mrbatch.scene.mesh_file import Part, load_mesh, load_parts
+from mrbatch.scene.mesh import Mesh, box, icosphere, plane
+from mrbatch.scene.mesh_file import load_mesh
 from mrbatch.scene.metals import metal_colours
-from mrbatch.scene.motion import ALWAYS, Motion, Still
+from mrbatch.scene.motion import ALWAYS, Motion, Played, Still
 from mrbatch.scene.opacity import given_opacity
 from mrbatch.scene.scene import (
     POLISHED,
@@ -190,8 +191,15 @@ def _virtual(item: given.VirtualObject) -> list[tuple[SceneObject, tuple[str, ..
     if item.emission is not None:
         material = replace(material, emission=item.emission)
     material = given_opacity(material, item.opacity)
-    found = _object(item, material, _shape(item), virtual=True, holdout=item.holdout)
-    return [_told(found)]
+    if item.clip is None:
+        found = [_object(item, material, _shape(item), virtual=True, holdout=item.holdout)]
+    else:
+        assert item.mesh is not None
+        found = [
+            _object(item, material, mesh, virtual=True, holdout=item.holdout, played=played)
+            for _, mesh, played in moving_parts(item.mesh, item.clip, by_material=False)
+        ]
+    return [_told(each) for each in found]
 
 
 def _told(item: SceneObject) -> tuple[SceneObject, tuple[str, ...]]:
@@ -212,17 +220,14 @@ def _told(item: SceneObject) -> tuple[SceneObject, tuple[str, ...]]:
 
 
 def _as_its_file_says(item: given.VirtualObject, path: Path) -> list[tuple[SceneObject, tuple[str, ...]]]:
-    """One scene object for each material of the glTF file, all of the object's name."""
+    """One scene object for each material (and, of an animation, way of moving) of the glTF file, all of the
+    object's name."""
     place = Place(file=str(path))
-    groups: dict[int, list[Part]] = {}
-    for part in load_parts(path, pictures=True):
-        if len(part.mesh.faces):
-            groups.setdefault(id(part.material), []).append(part)
     found: list[tuple[SceneObject, tuple[str, ...]]] = []
-    for parts in groups.values():
-        mesh = _shaded(concatenate([part.mesh for part in parts]), item)
-        material, left_out = material_from_gltf(parts[0].material, place, parts[0].extensions)
-        name = str(getattr(parts[0].material, "name", None) or "")
+    for part, whole, played in moving_parts(path, item.clip, by_material=True):
+        mesh = _shaded(whole, item)
+        material, left_out = material_from_gltf(part.material, place, part.extensions)
+        name = str(getattr(part.material, "name", None) or "")
         if mesh.uvs is None:
             material = replace(
                 material,
@@ -240,13 +245,20 @@ def _as_its_file_says(item: given.VirtualObject, path: Path) -> list[tuple[Scene
             left_out += ("what the job says of opacity and emission",)
         notes = (f"{path.name}: {', '.join(left_out)} of its material left out",) if left_out else ()
         material = replace(material, name=name or item.name)
-        built, more = _told(_object(item, material, mesh, virtual=True, holdout=item.holdout))
+        made = _object(item, material, mesh, virtual=True, holdout=item.holdout, played=played)
+        built, more = _told(made)
         found.append((built, notes + more))
     return found
 
 
 def _object(
-    item: given.Object, material: Material, mesh: Mesh, *, virtual: bool, holdout: bool
+    item: given.Object,
+    material: Material,
+    mesh: Mesh,
+    *,
+    virtual: bool,
+    holdout: bool,
+    played: Playing | None = None,
 ) -> SceneObject:
     if (material.texture is not None or material.opacity_texture is not None) and mesh.uvs is None:
         raise InputError(
@@ -254,11 +266,16 @@ def _object(
             place=Place(file=str(item.mesh)) if item.mesh else None,
             hint="give the mesh UVs, or a number in place of the texture",
         )
-    motion = _motion(item) if isinstance(item, given.VirtualObject) else None
+    motion: Motion | Still | Played | None = None
+    if isinstance(item, given.VirtualObject):
+        motion = _motion(item)
+        if played is not None:
+            motion = Played(motion or Still(item.transform.world_from_object()), *played)
     matrix = item.transform.world_from_object() if motion is None else motion.world_from_object(-np.inf)
     return SceneObject(
         name=item.name,
-        mesh=mesh.transformed(matrix),
+        # What is scaled to nothing at first has no place yet.
+        mesh=mesh.transformed(matrix) if np.linalg.det(matrix[:3, :3]) else mesh,
         material=material,
         virtual=virtual,
         camera=item.camera,

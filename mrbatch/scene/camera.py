@@ -12,6 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from mrbatch.scene.lens import Lens
+
 UNDONE = 1e-3
 """Pixels by which a direction may miss the pixel that it was found for."""
 
@@ -23,6 +25,7 @@ class Camera:
     `matrix` (3, 3) float64: focal lengths and principal point in pixels, pixel centres at half
     integers. `distortion` (8,) float64: OpenCV's k1 k2 p1 p2 k3 k4 k5 k6. `world_from_camera` (4, 4)
     float64, a rigid motion, metres. An equirectangular camera uses width, height and pose only.
+    `lens`: None for a pinhole.
     """
 
     width: int
@@ -31,6 +34,7 @@ class Camera:
     distortion: np.ndarray
     world_from_camera: np.ndarray
     model: Literal["perspective", "equirectangular"] = "perspective"
+    lens: Lens | None = None
 
     @staticmethod
     def from_opencv(
@@ -71,6 +75,9 @@ class Camera:
     def at(self, world_from_camera: np.ndarray) -> Camera:
         return replace(self, world_from_camera=np.asarray(world_from_camera, dtype=np.float64).reshape(4, 4))
 
+    def with_lens(self, lens: Lens | None) -> Camera:
+        return replace(self, lens=lens)
+
     def scaled(self, width: int, height: int) -> Camera:
         """The same view in another resolution."""
         k = self.matrix.copy()
@@ -92,19 +99,35 @@ class Camera:
 
         Points behind the camera get NaN pixels.
         """
+        pixels, z = self._project(points, np.zeros((1, 2)))
+        return pixels[0], z
+
+    def project_through_rim(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `project`, through each corner of the square that holds the lens: pixels (4, n, 2), depth (n,).
+
+        Of a convex body the rays through one point of the lens make a perspective picture, and a point moves
+        evenly over it as the point of the lens does: all that is seen of the body lies in the hull of these.
+        A pinhole has one corner.
+        """
+        return self._project(points, np.zeros((1, 2)) if self.lens is None else self.lens.rim)
+
+    def _project(self, points: np.ndarray, through: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         c = p @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         z = c[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            x = np.where(z > 0, c[:, 0] / z, np.nan)
-            y = np.where(z > 0, c[:, 1] / z, np.nan)
+            x = np.where(z > 0, c[:, 0] / z, np.nan)[None]
+            y = np.where(z > 0, c[:, 1] / z, np.nan)[None]
+            if self.lens is not None:
+                off = through[:, :, None] * (1.0 / self.lens.focus - 1.0 / z)
+                x, y = x + off[:, 0], y + off[:, 1]
         k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion
         r2 = x * x + y * y
         radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         k = self.matrix
-        return np.stack([k[0, 0] * xd + k[0, 1] * yd + k[0, 2], k[1, 1] * yd + k[1, 2]], axis=1), z
+        return np.stack([k[0, 0] * xd + k[0, 1] * yd + k[0, 2], k[1, 1] * yd + k[1, 2]], axis=-1), z
 
     def directions(self, pixels: np.ndarray) -> np.ndarray:
         """Pixels (n, 2) to directions in the camera's frame (n, 3) float64 with z = 1: undoes `project`.

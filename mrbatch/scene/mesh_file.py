@@ -35,10 +35,13 @@ def load_mesh(path: str | Path) -> Mesh:
 @dataclass(frozen=True)
 class Part:
     """A mesh of a file, placed by its node, and the file's own description of its material (or None), with
-    what extensions of glTF say of it."""
+    what extensions of glTF say of it. `local`: the mesh in its node's own frame; `node`: the node's name, as
+    the reader gives it."""
 
     mesh: Mesh
     material: Any
+    local: Mesh
+    node: str
     extensions: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -77,10 +80,14 @@ def load_parts(path: str | Path, *, pictures: bool = False) -> list[Part]:
         )
     if suffix == ".ply":
         check_ply_header(path, size, place)
-    parts = [
-        Part(_from_trimesh(part, matrix, suffix, place), getattr(part.visual, "material", None))
-        for part, matrix in _read(path, suffix, place, pictures)
-    ]
+    parts = []
+    for part, matrix, node in _read(path, suffix, place, pictures):
+        local = _from_trimesh(part, suffix, place)
+        try:
+            mesh = local.transformed(matrix)
+        except ValueError as error:
+            raise InputError(f"a node of the file cannot be placed: {error}", place=place) from error
+        parts.append(Part(mesh, getattr(part.visual, "material", None), local, node))
     if pictures and suffix in GLTF_SUFFIXES:
         extensions = material_extensions(read_gltf_header(path, place))
         parts = [
@@ -104,8 +111,8 @@ def load_parts(path: str | Path, *, pictures: bool = False) -> list[Part]:
     return parts
 
 
-def _read(path: Path, suffix: str, place: Place, pictures: bool) -> list[tuple[Any, np.ndarray]]:
-    """The file's meshes with the transform of each of their nodes."""
+def _read(path: Path, suffix: str, place: Place, pictures: bool) -> list[tuple[Any, np.ndarray, str]]:
+    """The file's meshes with transform and name of each of their nodes."""
     import trimesh
 
     # What the reader may open beside the file: a glTF's own buffers, its pictures, no material library.
@@ -138,11 +145,11 @@ def _read(path: Path, suffix: str, place: Place, pictures: bool) -> list[tuple[A
             triangles += len(geometry.faces)
             if triangles > MAX_TRIANGLES:
                 raise ResourceError(f"the file's nodes show more than {MAX_TRIANGLES} triangles", place=place)
-            parts.append((geometry, np.asarray(matrix, dtype=np.float64)))
+            parts.append((geometry, np.asarray(matrix, dtype=np.float64), str(node)))
     return parts
 
 
-def _from_trimesh(part: Any, matrix: np.ndarray, suffix: str, place: Place) -> Mesh:
+def _from_trimesh(part: Any, suffix: str, place: Place) -> Mesh:
     vertices, faces = np.array(part.vertices, dtype=np.float64), np.asarray(part.faces)
     if vertices.size and vertices.shape[1:] != (3,) or faces.size and faces.shape[1:] != (3,):
         raise InputError(
@@ -171,10 +178,7 @@ def _from_trimesh(part: Any, matrix: np.ndarray, suffix: str, place: Place) -> M
         uvs = np.nan_to_num(np.asarray(given_uv, dtype=np.float32)[:, :2], posinf=0.0, neginf=0.0)
     faces, dropped = _usable_faces(vertices, faces.astype(np.int32))
     vertices[~np.isfinite(vertices).all(axis=1)] = 0.0
-    try:
-        return Mesh(vertices, faces, normals, uvs, dropped).transformed(matrix)
-    except ValueError as error:
-        raise InputError(f"a node of the file cannot be placed: {error}", place=place) from error
+    return Mesh(vertices, faces, normals, uvs, dropped)
 
 
 def _usable_faces(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mrbatch.scene.environment import Environment
 from mrbatch.scene.mesh import Mesh
-from mrbatch.scene.motion import Motion, Still
+from mrbatch.scene.motion import Clock, Motion, Played, Still
 
 MAX_TRIANGLES = 2**31 - 1
 POLISHED = 1e-3
@@ -111,15 +111,23 @@ class SceneObject:
     cast_shadow: bool = True
     receive: bool = True
     holdout: bool = False
-    motion: Motion | Still | None = None
+    motion: Motion | Still | Played | None = None
     still: Mesh | None = None
 
-    def at(self, frame: float) -> SceneObject:
-        """The object at a frame; one that is not there is neither seen nor casts a shadow."""
+    def at(self, time: float, frame: int | None = None) -> SceneObject:
+        """The object at a time in frames; one that is not there is neither seen nor casts a shadow.
+
+        `frame`: whose exposure the time lies in, where it is not the frame's own: what is there in a frame
+        is there for all of its exposure.
+        """
         if self.motion is None or self.still is None:
             return self
-        moved = replace(self, mesh=self.still.transformed(self.motion.world_from_object(frame)))
-        if self.motion.there(frame):
+        matrix = self.motion.world_from_object(time)
+        if np.linalg.det(matrix[:3, :3]) == 0.0:
+            # Scaled to nothing, as animations hide what they do not show.
+            return replace(self, camera=False, cast_shadow=False)
+        moved = replace(self, mesh=self.still.transformed(matrix))
+        if self.motion.there(time if frame is None else frame):
             return moved
         return replace(moved, camera=False, cast_shadow=False)
 
@@ -141,9 +149,24 @@ class Scene:
         """Whether any object is elsewhere, or not there, in some frames."""
         return any(o.motion is not None for o in self.objects)
 
-    def at(self, frame: float) -> Scene:
-        """The scene at a frame, with the same origin."""
-        return replace(self, objects=tuple(o.at(frame) for o in self.objects)) if self.moves else self
+    @property
+    def plays(self) -> bool:
+        """Whether any object moves by seconds, so that a clock is needed."""
+        return any(isinstance(o.motion, Played) for o in self.objects)
+
+    def by(self, clock: Clock) -> Scene:
+        """With the shot's clock, for what moves by seconds."""
+        return replace(
+            self,
+            objects=tuple(
+                replace(o, motion=o.motion.by(clock)) if isinstance(o.motion, Played) else o
+                for o in self.objects
+            ),
+        )
+
+    def at(self, time: float, frame: int | None = None) -> Scene:
+        """The scene at a time in frames, with the same origin; `frame` as in `SceneObject.at`."""
+        return replace(self, objects=tuple(o.at(time, frame) for o in self.objects)) if self.moves else self
 
     def shifts(self, frame: float, later: float) -> np.ndarray:
         """(objects, 4, 4) float64: takes a point of each object, relative to `origin`, from one frame to
@@ -154,6 +177,8 @@ class Scene:
         for number, item in enumerate(self.objects):
             if item.motion is not None:
                 now, then = (item.motion.world_from_object(f) for f in (frame, later))
+                if np.linalg.det(now[:3, :3]) == 0.0:
+                    continue
                 found[number] = np.linalg.inv(shift) @ then @ np.linalg.inv(now) @ shift
         return found
 

@@ -170,12 +170,15 @@ class DeviceScene:
     device: str = "cpu"
     first: Any = None
 
-    def show(self, frame: float) -> None:
-        """Whoever launches kernels afterwards takes `data` anew. A still scene costs nothing."""
+    def show(self, time: float, frame: int | None = None) -> None:
+        """Puts objects where they are at a time in frames; `frame` as in `SceneObject.at`.
+
+        Whoever launches kernels afterwards takes `data` anew. A still scene costs nothing.
+        """
         if self.scene.moves:
             # Textures and light stay where they are: whoever made them has to live on.
             self.first = self.first or self.data
-            now = upload(self.scene.at(frame), self.engine, self.device, shared=self.first)
+            now = upload(self.scene.at(time, frame), self.engine, self.device, shared=self.first)
             self.data, self.kept = now.data, now.kept
 
     def light_sampler(self, wanted: str) -> Any:

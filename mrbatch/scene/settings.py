@@ -23,6 +23,7 @@ from mrbatch.quantities import (
     Angle,
     Colour,
     InputPath,
+    Number,
     Position,
     Positive,
     Rotation,
@@ -31,6 +32,7 @@ from mrbatch.quantities import (
 )
 from mrbatch.scene.alignment_settings import Alignment
 from mrbatch.scene.depth_settings import DepthMap
+from mrbatch.scene.gltf_header import SUFFIXES as GLTF_SUFFIXES
 from mrbatch.scene.material_settings import (
     ConstantOrOpacityTexture,
     ConstantTextureOrPhoto,
@@ -194,6 +196,22 @@ class Key(Settings):
         return value
 
 
+class Clip(Settings):
+    """An animation of a glTF file: its nodes move while the shot goes on."""
+
+    name: str | None = Field(None, description="Name of the animation in the file; none: its only one")
+    start: int | None = Field(
+        None, description="Number of the frame at which it begins; none: the first of the footage"
+    )
+    repeat: bool = Field(
+        False,
+        description="Whether it begins anew at its end; else it stays there, and before `start` as it begins",
+    )
+    speed: Annotated[Number, Field(gt=0.0)] = Field(
+        1.0, description="Its seconds in one second of the footage, above 0"
+    )
+
+
 class Plane(Settings):
     """A rectangle in z = 0 about the origin, facing +z; u runs along x, v along y."""
 
@@ -314,6 +332,17 @@ class VirtualObject(Object):
     visible: Annotated[tuple[tuple[int, int], ...], BeforeValidator(to_tuple)] | None = Field(
         None, description="[first, last] frame of each time at which it is there; none: always"
     )
+
+    clip: Clip | None = Field(
+        None,
+        description="The animation of its glTF file that is played; `transform` or `animation` place it all",
+    )
+
+    @model_validator(mode="after")
+    def _playable(self) -> VirtualObject:
+        if self.clip is not None and (self.mesh is None or self.mesh.suffix.lower() not in GLTF_SUFFIXES):
+            raise ValueError("`clip` is an animation of a glTF file, and `mesh` names none")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> VirtualObject:

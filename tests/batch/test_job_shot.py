@@ -95,10 +95,10 @@ def test_motion_goes_to_the_next_frame_that_is_known(tmp_path, monkeypatch):
 
     assert [value > 0.1 for value in most("moving")] == [True, True, False]
 
-    def lost(capture, table, number, display):
+    def lost(geometry, display):
         raise InputError("the frame has no camera pose")
 
-    monkeypatch.setattr(render_module, "frame_facts", lost)
+    monkeypatch.setattr(render_module, "pinholes", lost)
     assert max(most("lost")) < 1e-2
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.facts import ShotFacts
-from mrbatch.effects.surface_rules import LIGHT_CHANGE, PATH_RULES, VIRTUAL, absent, needed
+from mrbatch.effects.surface_rules import LIGHT_CHANGE, PATH_RULES, VIRTUAL
+from mrbatch.effects.verdict import absent, needed
 from mrbatch.scene.mesh import plane_of
 from mrbatch.scene.scene import SceneObject
 

@@ -36,7 +36,7 @@ from mrbatch.device.rays import FAR, RaySet, rays
 from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
 from mrbatch.film.path_pipeline import CameraPathFlags
 from mrbatch.kernels.bsdf import Surface, make_bsdf
-from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.camera import DIM_LENS, make_camera, through_lens
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
     max_component,
@@ -94,7 +94,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     env_radiance, env_pdf = environment.radiance, environment.pdf
     prefetch = environment.prefetch
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_1d = sampler.sample_1d
+    sample_1d, sample_2d = sampler.sample_1d, sampler.sample_2d
     sample_vertex, sample_start = sampler.sample_vertex, sampler.sample_start
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     funcs = make_surface(flags.shading, camera)
@@ -162,6 +162,8 @@ def make_kernel(flags: Flags) -> DeltaKernel:
             primary = camera_ray(
                 frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
             )
+            if wp.static(flags.lens):
+                primary = through_lens(frame.camera, primary, sample_2d(key, index, DIM_LENS))
             value = wp.vec3(0.0, 0.0, 0.0)
             blocked = wp.vec3(0.0, 0.0, 0.0)
             indirect = wp.vec3(0.0, 0.0, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mrbatch.contracts import Rule, Verdict
+from mrbatch.effects.camera_rules import DEPTH_OF_FIELD, MOTION_BLUR
 from mrbatch.effects.facts import ShotFacts
 from mrbatch.effects.surface_rules import (
     ALPHA,
@@ -16,9 +17,8 @@ from mrbatch.effects.surface_rules import (
     THIN_GLASS,
     TRANSMISSION,
     VIRTUAL,
-    absent,
-    needed,
 )
+from mrbatch.effects.verdict import absent, needed
 
 
 def _occlusion(facts: ShotFacts) -> Verdict:
@@ -39,5 +39,7 @@ RULES = (
     TEXTURES,
     HOLDOUT,
     DISTORTION,
+    DEPTH_OF_FIELD,
+    MOTION_BLUR,
     ENVIRONMENT,
 )

@@ -15,7 +15,7 @@ import warp as wp
 from mrbatch.device.rays import FAR, Engine, rays
 from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
 from mrbatch.kernels.bsdf import make_bsdf
-from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.camera import DIM_LENS, make_camera, through_lens
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
     balance_heuristic,
@@ -54,6 +54,7 @@ class Flags:
     strategy: str = "mis"
     shading: ShadingFlags = ShadingFlags()
     occlusion: bool = False
+    lens: bool = False
 
 
 @functools.cache
@@ -67,7 +68,7 @@ def make_kernel(flags: Flags) -> Any:
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_start = sampler.sample_start
+    sample_start, sample_2d = sampler.sample_start, sampler.sample_2d
     ray_start = make_ray_start(flags.ray_start)
     see_through = make_see_through(flags.shading, trace, ray_start, sampler.sample_1d)
     stop_at, transmittance = see_through.stop, see_through.transmittance
@@ -107,6 +108,8 @@ def make_kernel(flags: Flags) -> Any:
             primary = camera_ray(
                 frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
             )
+            if wp.static(flags.lens):
+                primary = through_lens(frame.camera, primary, sample_2d(key, index, DIM_LENS))
             value = wp.vec3(0.0, 0.0, 0.0)
             covered = float(0.0)
             hit = trace(scene.camera_set, primary.origin, primary.direction, FAR)

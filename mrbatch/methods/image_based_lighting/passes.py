@@ -49,6 +49,7 @@ def make_flags(
             emission=plan.on("emission"),
         ),
         occlusion=plan.on("occlusion"),
+        lens=plan.on("depth-of-field"),
     )
 
 

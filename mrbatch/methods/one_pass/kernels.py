@@ -23,7 +23,7 @@ from mrbatch.device.rays import FAR, rays
 from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
 from mrbatch.film.path_pipeline import CameraPathFlags
 from mrbatch.kernels.bsdf import make_bsdf
-from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.camera import DIM_LENS, make_camera, through_lens
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import max_component, min_component, orthonormal_basis, to_local, to_world
 from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
@@ -55,7 +55,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf = environment.radiance, environment.pdf
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_1d, sample_vertex, sample_start = sampler.sample_1d, sampler.sample_vertex, sampler.sample_start
+    sample_1d, sample_2d = sampler.sample_1d, sampler.sample_2d
+    sample_vertex, sample_start = sampler.sample_vertex, sampler.sample_start
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at = surfaces.surface, surfaces.normal
@@ -262,6 +263,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             primary = camera_ray(
                 frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
             )
+            if wp.static(flags.lens):
+                primary = through_lens(frame.camera, primary, sample_2d(key, index, DIM_LENS))
             value = wp.vec3(0.0, 0.0, 0.0)
             delta = wp.vec3(0.0, 0.0, 0.0)
             covered = float(0.0)

@@ -21,7 +21,7 @@ import warp as wp
 from mrbatch.device.rays import FAR, rays
 from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
 from mrbatch.film.path_pipeline import CameraPathFlags
-from mrbatch.kernels.camera import make_camera
+from mrbatch.kernels.camera import DIM_LENS, make_camera, through_lens
 from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
@@ -41,7 +41,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     trace = rays(flags.engine).trace
     camera_ray = make_camera(flags.camera_model, flags.distortion).ray  # type: ignore[arg-type]
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
-    sample_start = sampler.sample_start
+    sample_start, sample_2d = sampler.sample_start, sampler.sample_2d
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
     path = make_paths(flags).path
     see_through = make_see_through(flags.shading, trace, make_ray_start(flags.ray_start), sampler.sample_1d)
@@ -88,6 +88,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                 primary = camera_ray(
                     frame.camera, float(pixel.x) + 0.5 + shift[0], float(pixel.y) + 0.5 + shift[1]
                 )
+                if wp.static(flags.lens):
+                    primary = through_lens(frame.camera, primary, sample_2d(key, index, DIM_LENS))
                 first_set = scene.camera_set
                 if wp.static(not flags.virtual_seen):
                     first_set = scene.photo_set
