@@ -14,7 +14,7 @@ from mrbatch.device.timing import TimingNode
 from mrbatch.film.binding import bind_view
 from mrbatch.film.guides import NEED, guide_buffers, guide_pass, guides_of
 from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
-from mrbatch.film.rendering import FrameRenderer, Source
+from mrbatch.film.rendering import FrameRenderer, Look, Source
 from mrbatch.film.window import Window
 from mrbatch.scene.closed_forms import floor, look_at, real, scene_of, virtual
 from mrbatch.scene.mesh import plane
@@ -24,11 +24,11 @@ from mrbatch.scene.shading import ShadingFlags
 WIDTH, HEIGHT = 24, 20
 
 
-def guides(objects, *, needs=frozenset({NEED}), window=None, **flags):
+def guides(objects, *, needs=frozenset({NEED}), window=None, moments=0, **flags):
     engine = resolve_engine("auto")
     camera = look_at((0, 0, 5.0), (0, 0, 0), width=WIDTH, height=HEIGHT, focal=20.0)
     view = ViewOutput("", 0, window or Window(0, 0, WIDTH, HEIGHT))
-    outputs = Outputs((view,), needs, 0, engine)
+    outputs = Outputs((view,), needs, 0, engine, shutter=moments > 0)
     scene = upload(scene_of(objects), engine)
     step = guide_pass(scene, view, outputs, ShadingFlags(**flags), False, "box")
     if step is None:
@@ -41,7 +41,9 @@ def guides(objects, *, needs=frozenset({NEED}), window=None, **flags):
     black = np.zeros((view.window.height, view.window.width, 3), np.float32)
     with Runner(1) as runner:
         renderer = FrameRenderer(runner, [Source("method", pipeline)], outputs, TimingNode("test"))
-        rendered = renderer.render(0, {"": ViewInput(camera, black, np.ones(3))}, 2)
+        given = {"": ViewInput(camera, black, np.ones(3))}
+        looks = [Look(lambda: None, given)] * moments
+        rendered = renderer.render(0, given, 2 * max(1, moments), looks=looks)
         return guides_of(view, rendered.buffers), pipeline.buffers
 
 
@@ -71,6 +73,14 @@ def test_a_pixel_that_shows_two_objects_says_so():
     found, _ = guides([real("left", left), real("right", right)])
     assert (found.real.object[:, :12] == 1).all() and (found.real.object[:, 13:] == 2).all()
     assert (found.real.object[:, 12] == -1).all()
+
+
+def test_moments_of_an_exposure_add_up():
+    """Four looks at what does not move share the samples of one, and give the same guides."""
+    once, often = guides(objects())[0], guides(objects(), moments=4)[0]
+    for side in ("virtual", "real"):
+        for part in ("object", "normal", "position", "reflectance"):
+            assert np.array_equal(getattr(getattr(once, side), part), getattr(getattr(often, side), part))
 
 
 def test_a_crop_has_the_guides_of_the_whole():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,10 +16,11 @@ from mrbatch.film.binding import bind_view
 from mrbatch.film.first_hit import first_hit_buffers, first_hit_estimates, first_hit_pass
 from mrbatch.film.layers import NOTHING
 from mrbatch.film.outputs import Outputs, ViewInput, ViewOutput
-from mrbatch.film.rendering import FrameRenderer, Source
+from mrbatch.film.rendering import FrameRenderer, Look, Source
 from mrbatch.film.window import Window
 from mrbatch.scene.closed_forms import ball, look_at, real, scene_of, virtual
 from mrbatch.scene.mesh import plane
+from mrbatch.scene.motion import Motion
 from mrbatch.scene.scene import Material, Texture
 from mrbatch.scene.scene_data import upload
 from mrbatch.scene.shading import ShadingFlags
@@ -27,12 +29,16 @@ PARTS = frozenset({"depth", "normal", "albedo", "motion", "object_ids"})
 WIDTH, HEIGHT = 24, 20
 
 
-def layers(objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window=None, cutouts=False):
+def layers(
+    objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window=None, times=(), cutouts=False
+):
+    """`times`: moments, in frames, at which the exposure of frame 0 is looked at."""
     engine = resolve_engine("auto")
     window = window or Window(0, 0, camera.width, camera.height)
     view = ViewOutput("", 0, window)
-    outputs = Outputs((view,), needs, 0, engine)
-    scene = upload(scene_of(objects), engine)
+    outputs = Outputs((view,), needs, 0, engine, shutter=len(times) > 0)
+    there = scene_of(objects)
+    scene = upload(there, engine)
     shading = ShadingFlags(textures=True, normal_maps=True, cutouts=cutouts)
     step = first_hit_pass(scene, view, outputs, shading, False, "box")
     pipeline = Pipeline(
@@ -43,8 +49,18 @@ def layers(objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window
     black = np.zeros((window.height, window.width, 3), np.float32)
     with Runner(1) as runner:
         renderer = FrameRenderer(runner, [Source("method", pipeline)], outputs, TimingNode("test"))
-        given = {"": ViewInput(camera, black, np.ones(3), next_camera)}
-        rendered = renderer.render(0, given, 2, tiles=None if tiles is None else {"": tiles})
+        shifts = there.shifts(0, 1) if there.moves else None
+        given = {"": ViewInput(camera, black, np.ones(3), next_camera, shifts=shifts)}
+        looks = [
+            Look(
+                partial(scene.show, time, 0),
+                {"": replace(given[""], frame_camera=camera, home=there.shifts(time, 0))},
+            )
+            for time in times
+        ]
+        samples = 2 * max(1, len(times))
+        chosen = None if tiles is None else {"": tiles}
+        rendered = renderer.render(0, given, samples, tiles=chosen, looks=looks)
         ids = {
             "object": np.arange(1, len(objects) + 1, dtype=np.uint32) * 100,
             "material": np.array([7 if o.material.name == "shared" else 8 for o in objects], np.uint32),
@@ -131,6 +147,49 @@ def test_motion_of_a_moving_camera():
     edge = (found["object_coverage"].sum(axis=-1) > 0) & (found["object_coverage"].sum(axis=-1) < 0.5)
     assert edge.any()
     assert np.allclose(found["motion"][edge], [-0.2, -0.4], atol=1e-3)
+
+
+def turning(degrees: float, size: float = 3.0):
+    """A card that turns about the optical axis, by so much a frame."""
+    card_mesh = plane(size, size, centre=(0, 0, 2.0))
+    turns = [[0, 0, np.sin(a), np.cos(a)] for a in np.radians([-degrees / 2, 0, degrees / 2])]
+    motion = Motion(np.array([-1.0, 0, 1]), np.zeros((3, 3)), np.array(turns), np.ones((3, 3)))
+    return replace(virtual("card", card_mesh), motion=motion, still=card_mesh)
+
+
+def test_motion_of_what_is_blurred_is_that_of_the_points_that_are_seen():
+    """Over a shutter that is open from 0 to 0.5 a pixel shows points that were elsewhere at the frame's own
+    time: each goes on from there."""
+    degrees, times = 30.0, (0.0625, 0.1875, 0.3125, 0.4375)
+    found = layers([turning(degrees)], camera(), times=times)
+    # Down on the picture is -y in the world: turns are the other way round.
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5 - np.array([HEIGHT / 2, WIDTH / 2])[:, None, None]
+    at = x - 1j * y
+
+    def turn(share):
+        return np.exp(1j * np.radians(degrees) * share)
+
+    expected = np.mean([(turn(1) - 1) * turn(-t) * at for t in times], axis=0)
+    wrong = (turn(1) - 1) * at
+    middle = np.hypot(x, y) < 6
+    moved = found["motion"][..., 0] - 1j * found["motion"][..., 1]
+    # The camera's x axis in the world may go either way.
+    across = camera().world_from_camera[0, 0]
+    if across < 0:
+        moved = -moved
+        expected, wrong = -expected, -wrong
+    assert np.abs(moved - expected)[middle].max() < 0.05
+    assert np.abs(moved - wrong)[middle].max() > 0.3
+
+
+def test_moments_at_which_nothing_has_moved_change_no_layer():
+    """Four looks share the samples of one, and add up to the same."""
+    objects = [real("floor", plane(20, 20)), card(2.0), card(1.0, 3.0)]
+    once, often = layers(objects, camera()), layers(objects, camera(), times=(-0.3, -0.1, 0.1, 0.3))
+    for part in ("depth", "object_ids"):
+        assert np.array_equal(once[part], often[part])
+    for part in ("normal", "albedo", "motion", "object_coverage"):
+        np.testing.assert_allclose(once[part], often[part], atol=1e-5)
 
 
 def test_overlapping_objects_share_a_pixel():

@@ -253,9 +253,11 @@ def test_what_is_off_leaves_no_code():
             shading=ShadingFlags(textures=True, cutouts=True, panes=True),
             bsdf_kinds=frozenset({"diffuse", "conductor", "thin_dielectric"}),
             distortion=True,
+            lens=True,
         )
     )
-    for name in ("sample_texture", "conductor", "undistort", "opacity_at", "pane_shares", "transmittance"):
+    parts = ("opacity_at", "pane_shares", "transmittance", "through_lens")
+    for name in ("sample_texture", "conductor", "undistort", *parts):
         assert name in rich and name not in lean, name
     plain = source(Flags(engine=engine, real_on_real=False))
     mixed = source(Flags(engine=engine, real_on_real=True))

@@ -204,6 +204,26 @@ def test_what_is_scaled_to_nothing_is_not_there(tmp_path):
     assert np.isfinite(scene.shifts(3, 10)).all() and np.isfinite(scene.shifts(10, 3)).all()
 
 
+def test_motion_vectors_follow_the_nodes(tmp_path):
+    """A point of a mesh goes, from one frame to another, to where the animation puts it."""
+    nodes = [{"children": [1], "translation": [0, 0, 3]}, {"mesh": 0, "scale": [2, 1, 1]}]
+    channels = [
+        (0, "rotation", [0.0, 2.0], [[0, 0, 0, 1], QUARTER_TURN], "LINEAR"),
+        (1, "translation", [0.0, 2.0], [[0, 0, 0], [1, 2, 0]], "LINEAR"),
+    ]
+    path = write(tmp_path / "a.gltf", nodes, [{"channels": channels}])
+    whole = {"name": "thing", "mesh": str(path), "clip": {}, "transform": {"rotate": ["90 deg", 0, 0]}}
+    scene = build_scene(None, [], [VirtualObject.model_validate(whole)])
+    scene = scene.by(Clock(np.array([0.0, 20]), np.array([0.0, 2.0]), 10.0))
+    before, after = (scene.at(f).objects[0].mesh.vertices - scene.origin for f in (4, 16.5))
+    shift = scene.shifts(4, 16.5)[0]
+    np.testing.assert_allclose(before @ shift[:3, :3].T + shift[:3, 3], after, atol=1e-6)
+    angle = np.radians(90) * 0.2
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    local = (TRIANGLE * [2, 1, 1] + [0.2, 0.4, 0]) @ turn.T + [0, 0, 3]
+    np.testing.assert_allclose(before + scene.origin, local[:, [0, 2, 1]] * [1, -1, 1], atol=1e-6)
+
+
 def test_turns_take_the_shortest_arc():
     channel = Channel(np.array([0.0, 1]), np.array([[0, 0, 0, 1], [0, 0, -HALF, -HALF]]), turns=True)
     np.testing.assert_allclose(channel.at(0.5), [0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)], atol=1e-12)
