@@ -32,7 +32,7 @@ WIDTH, HEIGHT = 24, 20
 def layers(
     objects, camera, *, next_camera=None, needs=PARTS, tiles=None, window=None, times=(), cutouts=False
 ):
-    """`times`: moments, in frames, at which the exposure of frame 0 is looked at."""
+    """`times`: moments at which the exposure of frame 0 is looked at."""
     engine = resolve_engine("auto")
     window = window or Window(0, 0, camera.width, camera.height)
     view = ViewOutput("", 0, window)
