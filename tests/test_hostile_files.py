@@ -26,10 +26,10 @@ from mrbatch.capture.marker_video.matte import Mattes
 from mrbatch.capture.marker_video.pose_file import load_poses
 from mrbatch.capture.marker_video.settings import MatteSettings
 from mrbatch.errors import InputError, MrbatchError
-from mrbatch.scene.build import _texture
 from mrbatch.scene.depth_map import load_depth_mesh
 from mrbatch.scene.depth_settings import DepthMap
 from mrbatch.scene.environment import load_environment
+from mrbatch.scene.given_material import _texture
 from mrbatch.scene.mesh import icosphere
 from mrbatch.scene.mesh_file import load_mesh
 
