@@ -41,8 +41,10 @@ def shoot(
     return np.clip(np.rint(code), 0, top).astype(np.uint8 if top == 255 else np.uint16)
 
 
-def save(path: Path, codes: np.ndarray, seconds: float | None = None) -> Path:
-    """A PNG, or a JPEG with EXIF's exposure time where `seconds` is given."""
+def save(
+    path: Path, codes: np.ndarray, seconds: float | None = None, *, quality: int = 98, subsampling: int = 0
+) -> Path:
+    """A PNG, or a JPEG (`subsampling` 2: 4:2:0) with EXIF's exposure time where `seconds` is given."""
     if codes.dtype == np.uint16 or path.suffix == ".png":
         assert cv2.imwrite(str(path), codes[..., ::-1])
         return path
@@ -50,7 +52,7 @@ def save(path: Path, codes: np.ndarray, seconds: float | None = None) -> Path:
     exif = Image.Exif()
     if seconds is not None:
         exif[0x8769] = {0x829A: IFDRational(Fraction(seconds).limit_denominator(10**6)), 0x8827: 100}
-    picture.save(path, quality=98, subsampling=0, exif=exif)
+    picture.save(path, quality=quality, subsampling=subsampling, exif=exif)
     return path
 
 

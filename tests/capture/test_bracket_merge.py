@@ -12,6 +12,9 @@ from click.testing import CliRunner
 from exposure_bracket import TIMES, nine, room, save, shoot, srgb
 
 import mrbatch
+from mrbatch.capture.marker_video.hdr_merge import measure_noise, merge_shots
+from mrbatch.capture.marker_video.jpeg_noise import quantisation_noise
+from mrbatch.capture.marker_video.response_curve import known_curve
 from mrbatch.cli import main
 from mrbatch.errors import InputError, JobError
 from mrbatch.scene.stored_picture import read_stored
@@ -42,11 +45,18 @@ def error(found, truth):
     return np.abs(found @ weights / (truth @ weights) - 1.0)
 
 
-def well_exposed(truth, times=TIMES):
-    """Pixels whose every channel has a code in 40..230 of one shot."""
-    return np.any(
-        [((s > 40 / 255) & (s < 230 / 255)).all(-1) for s in (srgb(truth * t) for t in times)], axis=0
-    )
+def well_exposed(truth, times=TIMES, low=40, high=230):
+    """Pixels whose every channel has a code in `low`..`high` of one shot."""
+    codes = [255.0 * srgb(truth * t) for t in times]
+    return np.any([((c > low) & (c < high)).all(-1) for c in codes], axis=0)
+
+
+def exactly_exposed(truth, times=TIMES):
+    """Pixels that a shot shows to one per cent: rounding by half a code errs by less, and no channel clips.
+
+    Half a code is 1 % of light where 0.5 x 2.4 / (code + 14.0) is (255 x 0.055 = 14.0): from code 106 up.
+    """
+    return well_exposed(truth, times, 0.5 * 2.4 / 0.01 - 255 * 0.055, 254.5)
 
 
 def merge(paths, tmp_path, **options):
@@ -368,20 +378,83 @@ def test_the_command(tmp_path, radiance):
     assert CliRunner().invoke(main, [*arguments[:-1], "1/0"]).exit_code == 2
 
 
+# What JPEG does.
+
+
+def lamp_room():
+    """A dark textured room with small lamps a hundred times as bright: blocks that ring."""
+    truth = 0.1 * room(height=128, width=256, sun=0.05)
+    for k in range(12):
+        truth[20 + 8 * k : 23 + 8 * k, 13 + 20 * k : 17 + 20 * k] = (40.0, 25.0, 8.0)
+    return truth
+
+
+def test_a_lamp_is_no_ghost_in_jpegs(tmp_path):
+    """Ringing beside clipped pixels contradicts other shots by more than the noise of elsewhere."""
+    truth, times = lamp_room(), TIMES
+    paths = [
+        save(tmp_path / f"{k}.jpg", shoot(truth, t, noise=0.0), quality=90, subsampling=2)
+        for k, t in enumerate(times)
+    ]
+    report, found, flags = merge(paths, tmp_path, times=times)
+    well = exactly_exposed(truth)
+    worst = np.percentile(error(found, truth)[well], 99.9)
+    # The same without a word of the files' tables, and with the noise as a function of the code.
+    codes, curve = [read_stored(p).values for p in paths], known_curve("srgb", 8)
+    noise = measure_noise(codes, curve, np.array(times), 255)
+    plain = merge_shots(codes, curve, np.array(times), 255, noise)
+    assert plain.ghosts.mean() > 0.005
+    assert np.percentile(error(plain.radiance, truth)[well], 99.9) > 1.2 * worst
+    assert flags["ghost"].mean() < 0.2 * plain.ghosts.mean(), (flags["ghost"].mean(), plain.ghosts.mean())
+    assert not any("moved" in w for w in report.warnings)
+
+
+def test_a_person_in_one_jpeg(tmp_path, radiance):
+    """What moves is still found in JPEG files."""
+    person = radiance.copy()
+    person[50:90, 70:90] *= 20.0
+    shots = [person if k == 4 else radiance for k in range(9)]
+    paths = [
+        save(tmp_path / f"{k}.jpg", shoot(r, t, seed=k), quality=90, subsampling=2)
+        for k, (r, t) in enumerate(zip(shots, TIMES))
+    ]
+    report, found, flags = merge(paths, tmp_path, times=TIMES)
+    assert any("something moved" in w for w in report.warnings)
+    assert flags["ghost"][54:86, 74:86].mean() > 0.95
+    assert np.median(error(found, radiance)[54:86, 74:86]) < 0.05
+    assert max(report.shots, key=lambda s: s.left_out).file == "4.jpg"
+
+
+def test_the_noise_that_tables_allow(tmp_path):
+    """Of blocks of noise, in which every coefficient is rounded anywhere in its step."""
+    rng = np.random.default_rng(5)
+    codes = np.clip(rng.normal(128.0, 30.0, (256, 256, 3)), 0, 255).astype(np.uint8)
+    for quality in (85, 92, 97):
+        path = save(tmp_path / f"{quality}.jpg", codes, quality=quality)
+        spread = (read_stored(path).values.astype(float) - codes)[16:-16, 16:-16].std(axis=(0, 1))
+        assert quantisation_noise(path) == pytest.approx(spread, rel=0.07)
+    assert quantisation_noise(save(tmp_path / "c.png", codes)) is None
+    (tmp_path / "cut.jpg").write_bytes(path.read_bytes()[:40])
+    assert quantisation_noise(tmp_path / "cut.jpg") is None
+
+
 # Brackets of another renderer's maps, as JPEG with subsampled colours.
 
 
 @pytest.mark.data
-@pytest.mark.parametrize(("name", "median", "share"), [("window", 0.006, 0.97), ("lamps", 0.011, 0.80)])
-def test_real_jpegs_of_a_known_map(tmp_path, shared_data, name, median, share):
-    """Luminance where a shot is well exposed; what is left is JPEG's, as the PNGs below show."""
+@pytest.mark.parametrize(("name", "median", "over"), [("window", 0.005, 0.013), ("lamps", 0.006, 0.036)])
+def test_real_jpegs_of_a_known_map(tmp_path, shared_data, name, median, over):
+    """Luminance where a shot shows it to 1 %: the share that errs by more than 3 %.
+
+    Not none, as one might wish: a map that agrees with all that the nine files hold misses at 1.0 and 2.8 %.
+    """
     folder = shared_data / "markers" / f"mitsuba_desk_{name}"
     truth = read_stored(folder / "environment.exr").values[..., :3].astype(np.float64)
-    report, found, _ = merge([folder / f"bracket_{k}.jpg" for k in range(9)], tmp_path, times=TIMES)
-    e = error(found, truth)[well_exposed(truth)]
-    assert np.median(e) < median and np.mean(e < 0.03) > share
-    assert abs(found[well_exposed(truth)].mean() / truth[well_exposed(truth)].mean() - 1.0) < 0.005
-    assert not report.warnings
+    report, found, flags = merge([folder / f"bracket_{k}.jpg" for k in range(9)], tmp_path, times=TIMES)
+    e = error(found, truth)[exactly_exposed(truth)]
+    assert np.median(e) < median and np.mean(e > 0.03) < over and e.max() < 0.15
+    assert abs(found.mean() / truth.mean() - 1.0) < 0.0025
+    assert not report.warnings and flags["ghost"].mean() < 0.0005
 
 
 @pytest.mark.data

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mrbatch.capture.marker_video.jpeg_noise import quantisation_noise
 from mrbatch.errors import InputError, Place
 from mrbatch.scene.stored_picture import colour_channels, primaries_of, read_stored
 
@@ -24,7 +25,8 @@ class Shot:
 
     `index`: its place in the list given, duplicates counted. `codes` (height, width, 3) uint8 or uint16.
     `tagged`: seconds of exposure as the file's tags say them, brought to the first shot's sensitivity and
-    aperture; None without tags. `linear_tag`: whether the file says that its codes are linear.
+    aperture; None without tags. `linear_tag`: whether the file says that its codes are linear. `lossy`: of
+    JPEG files the standard deviations (red, green, blue) of codes in a busy block; None of others.
     """
 
     path: Path
@@ -32,6 +34,7 @@ class Shot:
     codes: np.ndarray
     tagged: float | None
     linear_tag: bool = False
+    lossy: tuple[float, float, float] | None = None
 
     @property
     def name(self) -> str:
@@ -97,7 +100,9 @@ def read_bracket(paths: Sequence[Path]) -> Bracket:
         seen[digest] = path.name
         matrix = own if matrix is None else matrix
         space = (stored.about["space"] or "").lower()
-        shots.append(Shot(path, index, np.ascontiguousarray(values), None, space.startswith("lin")))
+        codes = np.ascontiguousarray(values)
+        lossy = quantisation_noise(path) if codes.dtype == np.uint8 else None
+        shots.append(Shot(path, index, codes, None, space.startswith("lin"), lossy))
         tags.append(found)
     if len(shots) < MIN_SHOTS:
         raise InputError(

@@ -110,10 +110,18 @@ def merge_hdr(
     shifts, there = [Shift(0.0, 0.0)] * len(shots), _everywhere(shots)
     if align != "off":
         codes, shifts, there = _aligned(codes, names, response, fit, best, align, warnings)
-    noise = measure_noise(codes, response, fit.seconds, bracket.clip)
+    lossy = [s.lossy for s in shots]
+    noise = measure_noise(codes, response, fit.seconds, bracket.clip, even=any(lossy))
     plain = method != "variance"
     merged = merge_shots(
-        codes, response, fit.seconds, bracket.clip, noise, there=there, ghosts=ghosts and not plain
+        codes,
+        response,
+        fit.seconds,
+        bracket.clip,
+        noise,
+        there=there,
+        ghosts=ghosts and not plain,
+        lossy=lossy,
     )
     radiance = merge_opencv(codes, response, fit.seconds, method) if plain else merged.radiance
     radiance = np.maximum(to_rec709(radiance, bracket.rec709_from_source), np.float32(0.0))

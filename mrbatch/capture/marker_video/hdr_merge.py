@@ -22,6 +22,8 @@ GHOST_SIGMAS = 5.0
 GHOST_CHANGE = 0.12
 """Least relative change of light that counts as something having moved."""
 _NOISE_BINS = 16
+_BLOCK = 16
+"""Pixels along a JPEG block of colours that are stored at half the resolution."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +42,14 @@ class Merged:
 
 
 def measure_noise(
-    codes: Sequence[np.ndarray], curve: ResponseCurve, seconds: np.ndarray, clip: int
+    codes: Sequence[np.ndarray], curve: ResponseCurve, seconds: np.ndarray, clip: int, *, even: bool = False
 ) -> np.ndarray:
     """(codes,) float32 standard deviation of a code, from how neighbouring exposures differ.
 
-    Sensor noise, rounding and what JPEG does, together; measured in `_NOISE_BINS` ranges of codes.
+    Sensor noise, rounding and what JPEG does, together; measured in `_NOISE_BINS` ranges of codes. `even`:
+    one number for all codes, as JPEG pictures call for: the steps that a JPEG rounds to are the same for dark
+    and bright blocks. What it loses depends on the place, which all shots share, and a table by codes takes
+    dark and bright places for dark and bright codes.
     """
     order = np.argsort(seconds)
     edges = np.linspace(0.0, clip, _NOISE_BINS + 1)
@@ -70,6 +75,8 @@ def measure_noise(
     centres = 0.5 * (edges[1:] + edges[:-1])
     # Half a code at least: rounding, and medians that come out as 0.
     values = [max(0.5, float(np.median(found[k]))) for k in known]
+    if even:
+        return np.full(everywhere.size, np.median(values), dtype=np.float32)
     return np.interp(everywhere, centres[known], values).astype(np.float32)
 
 
@@ -82,16 +89,19 @@ def merge_shots(
     *,
     there: Sequence[np.ndarray | None] | None = None,
     ghosts: bool = True,
+    lossy: Sequence[tuple[float, float, float] | None] | None = None,
 ) -> Merged:
     """Merges shots (height, width, 3) of one size and number type.
 
     `noise` (codes,) standard deviation of each code. `there` (height, width) of each shot: where it has
-    pixels, None for all. `ghosts`: whether shots that disagree with the majority are left out.
+    pixels, None for all. `ghosts`: whether shots that disagree with the majority are left out. `lossy`: of
+    each JPEG shot the standard deviations (3) of codes in a busy block, by which it errs beside clipped ones.
     """
     order = np.argsort(seconds)
     stack = [codes[i] for i in order]
     times = np.asarray(seconds, dtype=np.float64)[order]
     where = [None] * len(stack) if there is None else [there[i] for i in order]
+    busy = np.array([(lossy[i] if lossy is not None else None) or (0.0, 0.0, 0.0) for i in order], np.float32)
     height, width = stack[0].shape[:2]
     result = Merged(
         np.empty((height, width, 3), dtype=np.float32),
@@ -111,6 +121,7 @@ def merge_shots(
             times,
             clip,
             noise,
+            busy,
         )
         use = band.there
         moved = np.zeros(use.shape[1:], dtype=bool)
@@ -129,15 +140,31 @@ def merge_shots(
 class _Band:
     """Some rows of all shots, shortest exposure first."""
 
-    def __init__(self, codes, there, curve: ResponseCurve, times, clip: int, noise: np.ndarray):
+    def __init__(
+        self, codes, there, curve: ResponseCurve, times, clip: int, noise: np.ndarray, busy: np.ndarray
+    ):
         self.codes, self.there = codes, there  # (n, h, w, 3), (n, h, w)
         self.curve, self.times, self.clip, self.noise = curve, times.astype(np.float32), clip, noise
-        self.top = clip - np.maximum(0.5, 2.5 * noise[min(clip, len(noise) - 1)])
+        # (n, 1, 1, 3): from there up a code may be a clipped one that noise, or ringing, took down.
+        spread = np.maximum(noise[min(clip, len(noise) - 1)], busy[:, None, None])
+        self.top = (clip - np.maximum(0.5, 2.5 * spread)).astype(np.float32)
         self.samples = np.stack([curve.exposure(c) / t for c, t in zip(codes, self.times)])
         self.open = codes < self.top  # (n, h, w, 3): not clipped
         # Noise and JPEG take some clipped codes below the top: what clips in the shorter shot clips here.
         longer = self.times[1:] > 1.2 * self.times[:-1]
         self.open[1:] &= self.open[:-1] | ~there[:-1, ..., None] | ~longer[:, None, None, None]
+
+        self.ringing = np.zeros((len(codes), 1, 1, 3), dtype=np.float32)
+        if busy.any():
+            self.ringing = busy[:, None, None] * self._beside_clipped()[..., None]
+
+    def _beside_clipped(self) -> np.ndarray:
+        """(n, h, w) whether a pixel may share a JPEG block with a clipped one, and ring with it."""
+        import cv2
+
+        block = np.ones((2 * _BLOCK - 1, 2 * _BLOCK - 1), np.uint8)
+        clipped = (~self.open).any(axis=-1).astype(np.uint8)
+        return np.stack([cv2.dilate(one, block) for one in clipped]).astype(bool)
 
     def _sigma(self, code: np.ndarray) -> np.ndarray:
         return self.noise[np.clip(np.rint(code), 0, len(self.noise) - 1).astype(np.int32)]
@@ -178,12 +205,13 @@ class _Band:
             code = self.codes[i] if at is None else self.codes[i][at]
             predicted = np.minimum(self.curve.code(radiance * t), np.float32(self.clip))
             light = np.minimum(radiance * t, np.float32(1.0))
-            allowed = np.hypot(
-                GHOST_SIGMAS * self._sigma(predicted), GHOST_CHANGE * light / self.curve.slope(predicted)
-            )
+            ringing = self.ringing[i] if at is None or len(self.ringing[i]) == 1 else self.ringing[i][at]
+            sigma = np.maximum(self._sigma(predicted), ringing.reshape(-1, 3) if at is not None else ringing)
+            allowed = np.hypot(GHOST_SIGMAS * sigma, GHOST_CHANGE * light / self.curve.slope(predicted))
             excess = np.abs(np.minimum(code, self.clip) - predicted) - allowed
             # Near the top a code may be clipped noise.
-            both_clip = (code >= self.top) & (predicted >= self.top)
+            top = self.top[i, 0, 0]
+            both_clip = (code >= top) & (predicted >= top)
             result.append((np.where(both_clip, -1.0, excess) > 0).any(axis=-1))
         return np.stack(result)
 
