@@ -103,6 +103,8 @@ def test_a_sun_beyond_half(tmp_path):
     report, found, _ = merge(paths, tmp_path, times=times)
     assert report.number_type == "float" and np.isfinite(found).all()
     assert found[20:24, 120:124].mean() == pytest.approx(1e5, rel=0.01)
+    report, cut, _ = merge(paths, tmp_path, times=times, number_type="half")
+    assert cut.max() == 65504.0 and any("half's largest number" in w for w in report.warnings)
 
 
 def test_a_smaller_map_keeps_the_light(tmp_path, radiance):
@@ -144,6 +146,9 @@ def test_shuffled_duplicate_missing_with_equal_tags(tmp_path, radiance):
     assert np.percentile(error(found * scale, clean)[well], 98) < 0.01
     assert abs((found * scale)[well].mean() / clean[well].mean() - 1.0) < 0.01
     assert report.relative and len(report.shots) == 8
+    # As the tags say it, nine times the same exposure: the mean of all pictures.
+    naive = hat_merge([read_stored(p).values for p in paths], [0.01] * 9)
+    assert np.nanpercentile(error(naive * np.nanmedian(clean / naive), clean)[well], 50) > 0.1
     text = " ".join(report.warnings + report.notes)
     assert "all exposure times are the same" in text
     assert "4.png is the same picture as 3.png" in text

@@ -11,7 +11,7 @@ import numpy as np
 
 from mrbatch.capture.marker_video.bracket import Bracket, Shot, read_bracket
 from mrbatch.capture.marker_video.exposure_fit import CURVE_MISFIT, ExposureFit, fit_exposures
-from mrbatch.capture.marker_video.hdr_file import NumberType, choose_number_type, write_map
+from mrbatch.capture.marker_video.hdr_file import HALF_MAX, NumberType, choose_number_type, write_map
 from mrbatch.capture.marker_video.hdr_merge import Merged, measure_noise, merge_shots
 from mrbatch.capture.marker_video.opencv_merge import merge_opencv
 from mrbatch.capture.marker_video.response_curve import CURVES, ResponseCurve, known_curve, recovered_curve
@@ -131,6 +131,9 @@ def merge_hdr(
         radiance, masks = _smaller(radiance, masks, width)
     kind, reason = choose_number_type(radiance) if number_type == "auto" else (number_type, "as asked")
     notes.append(f"{kind}: {reason}")
+    if kind == "half" and radiance.max() > HALF_MAX:
+        warnings.append(f"light of {radiance.max():.4g} is cut to {HALF_MAX:.0f}, half's largest number")
+        radiance = np.minimum(radiance, np.float32(HALF_MAX))
     accounts = _accounts(shots, tagged, fit, shifts, merged, bracket.clip)
     luminance = radiance @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
     report = MergeReport(
