@@ -143,6 +143,12 @@ def test_missing_numbers_are_noted(shot):
     assert table["missing"] == []
 
 
+def test_a_lens_that_folds_back_is_told(shot):
+    _, table = prepared(shot, camera=CAMERA | {"distortion": [-30.0, 0, 0, 0, 0]})
+    assert any("folds back within the picture" in note for note in table["notes"])
+    assert not any("folds" in note for note in prepared(shot)[1]["notes"])
+
+
 def test_world_from_marker_moves_the_cameras(shot):
     move = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
     capture, table = prepared(shot, world_from_marker=move)

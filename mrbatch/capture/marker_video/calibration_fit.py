@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mrbatch.capture.marker_video.calibration_views import View
+from mrbatch.capture.marker_video.lens_limit import lens_limit
 from mrbatch.errors import InputError
 
 MODELS = (0, 2, 4, 5, 8)
@@ -176,19 +177,7 @@ def _information(fit: CalibrationFit) -> float:
 
 def folds(fit: CalibrationFit) -> bool:
     """Whether two directions fall on one place within the picture: no lens does that."""
-    d = np.zeros(8)
-    d[: len(fit.distortion)] = fit.distortion
-    k1, k2, _, _, k3, k4, k5, k6 = d
-    sides = np.maximum(fit.matrix[:2, 2], np.array(fit.size) - fit.matrix[:2, 2])
-    corner = float(np.hypot(*(sides / np.diag(fit.matrix)[:2])))
-    r = np.linspace(0.0, 3.0 * corner, 3000)
-    s = r * r
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shown = r * (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
-    beyond = np.flatnonzero(shown >= corner)
-    until = int(beyond[0]) if beyond.size else len(r)
-    # It must rise all the way to the corner, and reach it.
-    return not beyond.size or not bool(np.all(np.diff(shown[: until + 1]) > 0.0))
+    return bool(np.isfinite(lens_limit(fit.matrix, fit.distortion, fit.size)))
 
 
 def _fitting_views(fit: CalibrationFit) -> tuple[list[View], tuple[tuple[str, float], ...]]:

@@ -17,6 +17,7 @@ from mrbatch.capture.frame import CaptureFacts, FrameData, ViewData, ViewGeometr
 from mrbatch.capture.marker_video.calibration import Calibration, load_calibration, make_calibration
 from mrbatch.capture.marker_video.footage import Footage, open_footage
 from mrbatch.capture.marker_video.gain import Gain, load_gains, patch_gain
+from mrbatch.capture.marker_video.lens_limit import rayless_share
 from mrbatch.capture.marker_video.matte import Mattes
 from mrbatch.capture.marker_video.settings import CameraSettings, MarkerVideoSettings
 from mrbatch.capture.marker_video.shot_poses import SolvePoses, check_size, find_poses
@@ -130,6 +131,12 @@ class MarkerVideoCapture:
         calibration.check_size(width, height, Place(file=str(footage.paths(numbers[:1])[0])))
         unmatted = self._mattes.lacking(numbers) if self._mattes is not None else []
         notes = list(about["notes"])
+        rayless = rayless_share(calibration.matrix, calibration.distortion, (width, height))
+        if rayless > 0.0:
+            notes.append(
+                f"the calibration's lens folds back within the picture: {100 * rayless:.2g} % of the pixels, "
+                "towards the corners, show nothing virtual and no shadow; calibrate with fewer coefficients"
+            )
         missing = self._missing(footage, numbers)
         if missing:
             notes.append(f"missing in the footage: {_listed(missing)}")
