@@ -71,6 +71,7 @@ def test_each_frame_is_that_of_an_object_standing_there(moving, tmp_path):
     assert not np.array_equal(covered[1], covered[3])
 
 
+@pytest.mark.case("DPT-17")
 def test_no_frame_depends_on_which_others_are_rendered(moving):
     whole = render(moving)
     for number in (3, 1):

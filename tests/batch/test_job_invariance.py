@@ -53,6 +53,7 @@ def test_the_shot_is_worth_testing(shot):
         assert untouched.mean() > 0.1
 
 
+@pytest.mark.case("RNG-01")
 @pytest.mark.parametrize(
     "options",
     [{"threads": 1}, {"threads": 4}, {"units_per_launch": 1}, {"units_per_launch": 64, "threads": 1}],
@@ -73,6 +74,7 @@ def test_batches_change_no_pixel(shot, batch):
         np.testing.assert_array_equal(values, expected[name], err_msg=name)
 
 
+@pytest.mark.case("DPT-17")
 def test_a_frame_alone_and_any_order(shot):
     render(shot, "frames=3", out="alone")
     expected = files(shot.parent / "out")
@@ -203,6 +205,7 @@ def test_the_job_hash_follows_the_content_of_inputs(tmp_path):
 # --- nothing virtual ---------------------------------------------------------------------------------
 
 
+@pytest.mark.case("DPT-01", "IO-03")
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 def test_without_virtual_objects_the_code_values_come_back(tmp_path, dtype):
     path = write_job(tmp_path, (0, 1), dtype=dtype, virtual=False)
@@ -242,6 +245,7 @@ def test_pixels_that_nothing_influences_keep_their_bits(tmp_path, dtype):
         assert np.array_equal(from_linear(composite, "srgb", np.iinfo(dtype).bits), given)
 
 
+@pytest.mark.case("IO-04")
 def test_the_layers_give_the_composite(shot):
     """`max(0, virtual over background + delta)` within 2^-10 of what is added (half colour)."""
     made = channels(shot.parent / "out" / "small.0000.exr")

@@ -80,6 +80,7 @@ def test_a_hand_in_front_cuts_every_layer(crates):
     assert np.abs(plain["motion.X"][LEFT]).max() > 0.1
 
 
+@pytest.mark.case("DPT-14", "TRAP-1i")
 def test_what_the_hand_covers_is_the_photo(crates):
     plain, cut = crates
     without = plain["virtual.A"] == 0

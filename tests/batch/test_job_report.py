@@ -182,6 +182,7 @@ def test_a_run_that_stopped_says_where_and_what_was_not_tried(tmp_path):
     assert states(report) == ["done"] * 4 and report.exit == 0
 
 
+@pytest.mark.case("IO-08")
 def test_missing_numbers_and_lost_frames_are_failed_frames(tmp_path):
     path = write_job(tmp_path, (0, 1, 3, 4))
     content = json.loads(path.read_text())

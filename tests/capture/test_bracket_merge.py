@@ -133,6 +133,7 @@ def test_same_pictures_same_bytes(tmp_path, radiance):
 # What is wrong with brackets.
 
 
+@pytest.mark.case("IO-05", "TRAP-3")
 def test_shuffled_duplicate_missing_with_equal_tags(tmp_path, radiance):
     """IO-05: exposures are in the pictures; the tags say nothing, and one scale is all that is lost."""
     clean = merge(nine(tmp_path, radiance), tmp_path, times=TIMES)[1]
@@ -187,6 +188,7 @@ def test_shutter_speeds_with_rounded_names(tmp_path, radiance):
     assert ratios == pytest.approx([4.0] * 8, rel=0.01)
 
 
+@pytest.mark.case("IO-06")
 def test_a_shot_that_moved(tmp_path, radiance):
     """IO-06: five pixels to the right and two up."""
     big = room(height=128, width=256)
@@ -221,6 +223,7 @@ def test_a_shot_that_turned(tmp_path):
     assert not [w for w in report.warnings if "turned" in w]
 
 
+@pytest.mark.case("IO-06", "TRAP-3")
 def test_a_person_in_one_shot(tmp_path, radiance):
     """IO-06: twenty times as bright as what is behind, in one shot."""
     paths = nine(tmp_path, radiance)
@@ -243,6 +246,7 @@ def test_a_person_in_one_shot(tmp_path, radiance):
     assert np.nanmedian((naive / radiance)[inside]) > 1.5
 
 
+@pytest.mark.case("IO-06", "TRAP-3")
 def test_clipped_in_all_shots_is_a_lower_bound(tmp_path):
     """IO-06: hat weights give 0/0 there."""
     truth = room(sun=1e6)
@@ -263,6 +267,7 @@ def test_black_in_all_shots(tmp_path, radiance):
     assert flags["dark"][80:90, 150:170].all() and (found[81:89, 151:169] == 0.0).all()
 
 
+@pytest.mark.case("TRAP-3")
 def test_gamma_for_srgb_darkens(tmp_path, radiance):
     """TRAP-3: the mean 6 % down, blacks by half and more."""
     radiance = 0.03 * radiance

@@ -67,6 +67,7 @@ def test_stated_corner_covariance_is_true():
     assert np.abs(points.mean(axis=0) - _truth(marker_corners(0.06), pose)).max() < 2 * stated
 
 
+@pytest.mark.case("MRK-07")
 @pytest.mark.parametrize("k1", [-0.4, 0.4])
 def test_lens_distortion_at_the_rim(k1):
     distortion = [k1, 0.0, 0.0, 0.0, 0.0]
@@ -168,6 +169,7 @@ def _still(picture_page):
     return photograph(render(*picture_page, K, look_at([0.0, -0.05, 0.25]), SIZE))
 
 
+@pytest.mark.case("MRK-05")
 def test_wrong_dictionary_finds_nothing_and_the_right_one_is_named():
     picture = _still(marker_page("DICT_6X6_250", 33, 0.06))
     assert len(TargetDetector(_marker("DICT_4X4_50")).detect(picture)) == 0
@@ -176,11 +178,13 @@ def test_wrong_dictionary_finds_nothing_and_the_right_one_is_named():
     assert 33 in hints["DICT_6X6_50"] if "DICT_6X6_50" in hints else 33 in hints["DICT_6X6_100"]
 
 
+@pytest.mark.case("MRK-05")
 def test_mirrored_marker_is_none():
     picture = _still(marker_page("DICT_4X4_50", 7, 0.06))
     assert len(TargetDetector(_marker()).detect(np.ascontiguousarray(picture[:, ::-1]))) == 0
 
 
+@pytest.mark.case("MRK-05")
 def test_one_wrong_bit_is_repaired_and_listed():
     # 6X6_50 has a large distance between markers, so that a bit can be repaired
     page, metres = marker_page("DICT_6X6_50", 7, 0.06)
@@ -198,6 +202,7 @@ def test_other_ids_are_not_taken():
     assert found.others == (7,)
 
 
+@pytest.mark.case("MRK-06")
 def test_marker_seen_twice_is_reported_with_both_places():
     page, metres = marker_page("DICT_4X4_50", 7, 0.06)
     pose = look_at([0.0, 0.0, 0.5])

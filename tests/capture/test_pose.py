@@ -80,6 +80,7 @@ def test_noiseless_points_give_the_exact_pose(tilt):
     assert distance < 1e-6
 
 
+@pytest.mark.case("MRK-01")
 @pytest.mark.parametrize(
     ("points", "tilt", "distance"),
     [(BOARD_POINTS, 0, 0.4), (BOARD_POINTS, 20, 0.8), (marker_corners(0.06), 40, 0.5)],
@@ -102,6 +103,7 @@ def test_stated_covariance_covers_the_truth(points, tilt, distance):
     assert abs(inside / total - 0.95) < 4 * np.sqrt(0.95 * 0.05 / total)
 
 
+@pytest.mark.case("MRK-02", "TRAP-3g")
 def test_no_flips_on_a_path_through_face_on():
     """Tilt -20 to 20 degrees: single pictures choose the wrong root, the path does not."""
     random = np.random.default_rng(3)
@@ -124,6 +126,7 @@ def test_no_flips_on_a_path_through_face_on():
     assert len(table.poses()) > 80
 
 
+@pytest.mark.case("MRK-03")
 @pytest.mark.parametrize("side", [8, 12, 18, 45])
 def test_tiny_markers_give_a_pose_or_a_refusal_never_a_wrong_one(side):
     random = np.random.default_rng(side)
@@ -163,6 +166,7 @@ def gap_shot():
     return _shot(PATH, marker_page("DICT_4X4_50", 7, 0.06), blank=(3, 4, 5))
 
 
+@pytest.mark.case("MRK-08")
 def test_rendered_shot_with_a_gap_is_interpolated(gap_shot):
     table = solve_poses(gap_shot, CALIBRATION, MARKER, lost="interpolate")
     for i, (row, pose) in enumerate(zip(table.frames, PATH, strict=True)):
@@ -226,6 +230,7 @@ def test_never_seen_names_what_is_there():
     assert "no dictionary" in caught.value.hint
 
 
+@pytest.mark.case("MRK-06")
 def test_marker_seen_twice_names_both_places():
     page, metres = marker_page("DICT_4X4_50", 7, 0.06)
     left, right = np.eye(4), np.eye(4)
@@ -268,6 +273,7 @@ def test_picture_of_another_size():
         solve_poses([(0, 0.0, lambda: np.zeros((48, 64), dtype=np.uint8))], CALIBRATION, MARKER)
 
 
+@pytest.mark.case("MRK-04")
 @pytest.mark.parametrize(("tilt", "blur"), [(85, 0.0), (80, 0.0), (45, 5.0), (40, 3.0)])
 def test_hard_pictures_give_a_pose_or_are_lost(tilt, blur):
     page, metres = marker_page("DICT_4X4_50", 7, 0.06)
@@ -282,6 +288,7 @@ def test_hard_pictures_give_a_pose_or_are_lost(tilt, blur):
     assert np.sqrt(np.mean(np.sum((found - truth) ** 2, axis=1))) < 1.0
 
 
+@pytest.mark.case("MRK-04")
 def test_half_hidden_board():
     page, metres = board_page(opencv_board(BOARD.board), 0.03)
     pose = _orbit(30, 0.3, roll=0.2)

@@ -99,6 +99,7 @@ def test_wrong_patterns_are_refused(tmp_path):
             find_sequence([tmp_path / pattern])
 
 
+@pytest.mark.case("IO-03")
 @pytest.mark.parametrize("suffix", ["png", "tif"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_integer_files_keep_their_codes(tmp_path, suffix, dtype):
@@ -133,6 +134,7 @@ def test_exif_orientation_is_applied(tmp_path, orientation):
     assert picture.flags == (("turned-by-exif",) if orientation > 1 else ())
 
 
+@pytest.mark.case("IO-03")
 @pytest.mark.parametrize("kind", [np.float16, np.float32])
 def test_exr_is_linear_and_exact(tmp_path, kind):
     values = (np.random.default_rng(3).random((9, 12, 3)) * 100).astype(kind)
@@ -189,6 +191,7 @@ def test_grey_becomes_rgb_and_other_channels_are_refused(tmp_path):
     np.testing.assert_array_equal(read(path)[0].linear[0, 0], [2, 1, 0])
 
 
+@pytest.mark.case("IO-02")
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_values_that_are_no_light_are_named(tmp_path, bad):
     values = np.ones((6, 7, 3), np.float32)
@@ -207,6 +210,7 @@ def test_negative_light_is_clamped_and_flagged(tmp_path):
     assert picture.flags == ("negative-light-clamped",)
 
 
+@pytest.mark.case("IO-08")
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.exr"])
 @pytest.mark.parametrize("keep", [0.0, 0.3, 0.9])
 def test_cut_files_are_refused_with_their_frame(tmp_path, name, keep):

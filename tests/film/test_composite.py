@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mrbatch.film.composite import Contribution, behind_matte, composite, over, shadow_matte
+from mrbatch.kernels.transfer import from_linear, to_linear
 
 
 def random_parts(seed: int, dtype=np.float64, shape=(5, 7)):
@@ -96,3 +97,23 @@ def test_shadow_matte():
     blocked = np.array([-0.4, -0.2, 0.0, 0.0, 0.1])[None, :, None] * np.ones(3)
     np.testing.assert_allclose(shadow_matte(a, B, blocked), [[0.5, 0.5, 0.0, 0.0, 0.0]], atol=1e-15)
     assert shadow_matte(a, B, 10 * blocked).max() == 1.0
+
+
+@pytest.mark.case("TRAP-3d")
+def test_a_change_of_light_is_added_to_light_and_not_to_codes():
+    """Half of the light of a step wedge taken: every step of 8 bits has half of its light left, to a code.
+    Added to codes, a grey of .5 under half a shadow would show .2 of its light, for .25."""
+    codes = np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 3, axis=2)
+    linear = to_linear(codes, "srgb", 8)
+    nothing = np.zeros_like(linear)
+    found = from_linear(composite(nothing, nothing[..., 0], linear, -0.5 * linear), "srgb", 8)
+    v = codes / 255.0
+    light = np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4) / 2
+    wanted = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    assert np.abs(found - wanted).max() <= 0.5 + 1e-3
+
+    def seen(code):
+        return ((code + 0.055) / 1.055) ** 2.4
+
+    grey = 1.055 * 0.5 ** (1 / 2.4) - 0.055
+    assert seen(grey - 0.25) == pytest.approx(0.201, abs=2e-3)

@@ -219,6 +219,7 @@ def test_crop_and_overscan_windows(tmp_path, window):
     assert got.views[""].channels["R"].shape == (window.height, window.width)
 
 
+@pytest.mark.case("IO-07")
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1279, 719), (1, 4096)])
 def test_odd_sizes(tmp_path, width, height):
     values = np.arange(width * height, dtype=np.float32).reshape(height, width)
@@ -277,6 +278,7 @@ def test_key_order_of_metadata_does_not_show(tmp_path):
     assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
 
 
+@pytest.mark.case("IO-03")
 @pytest.mark.parametrize("transfer", [t for t in TRANSFERS if t != "gamma28"])
 @pytest.mark.parametrize("bits", [8, 10])
 def test_half_keeps_every_code_of_8_and_10_bits(transfer, bits):
@@ -311,6 +313,7 @@ def lit(value: float, channel: str = "R") -> FrameImage:
     return FrameImage(12, {"": ViewImage(channels)}, (5, 4))
 
 
+@pytest.mark.case("IO-01")
 def test_light_above_half_is_never_infinite(tmp_path):
     """IO-01: an error that names the pixel, or 65504 with a note, or float."""
     path = tmp_path / "l.exr"
@@ -326,6 +329,7 @@ def test_light_above_half_is_never_infinite(tmp_path):
     assert read_frame(path).views[""].channels["R"][2, 3] == 69120.0
 
 
+@pytest.mark.case("IO-02")
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_numbers_that_are_none_are_refused(tmp_path, value):
     with pytest.raises(FramesError, match=r"frame 12.*delta\.R.*\(3, 2\)"):

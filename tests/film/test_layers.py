@@ -79,6 +79,7 @@ def test_channel_kinds():
     assert layers.channel_kind("somebody.elses") == "data"
 
 
+@pytest.mark.case("IO-04")
 @pytest.mark.parametrize("seed", range(4))
 def test_layers_make_the_composite_after_half_storage(seed):
     """IO-04: max(0, virtual over background + delta) is the composite within 2^-10 (|P| + |B| + |D|).

@@ -143,6 +143,7 @@ def twin_albedo(alpha, wo, masking="height-correlated", n=1500):
     return float((mass * ratio)[up].sum()), float(mass[~up].sum())
 
 
+@pytest.mark.case("BSDF-01")
 @pytest.mark.parametrize("rho", [0.0, 0.5, 1.0])
 def test_bsdf_01_lambert(rho):
     """BSDF-01: the albedo is rho, by the weights and by a product rule over cos and azimuth."""
@@ -157,6 +158,7 @@ def test_bsdf_01_lambert(rho):
     assert 2.0 * np.pi * (parts * p).sum() == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.case("BSDF-02")
 @pytest.mark.parametrize(
     ("alpha", "degrees", "printed"),
     [(1.0, 0, 1 - math.log(2)), (0.5, 0, 0.6885), (0.1, 0, 0.9882), (1.0, 85, 0.7804), (0.5, 85, 0.8722),
@@ -207,6 +209,7 @@ def test_conductor_matches_its_twin(masking, alpha):
     np.testing.assert_allclose(p, p64, rtol=tolerance)
 
 
+@pytest.mark.case("BSDF-04")
 @pytest.mark.parametrize("kind", ["diffuse", "conductor"])
 def test_bsdf_04_reciprocity(kind):
     """BSDF-04: f(i, o) = f(o, i) for 1e5 pairs within 1e-5."""
@@ -216,6 +219,7 @@ def test_bsdf_04_reciprocity(kind):
     np.testing.assert_allclose(forward, back, rtol=1e-5)
 
 
+@pytest.mark.case("BSDF-05")
 def test_bsdf_05_nearly_smooth_metal_is_a_mirror():
     """BSDF-05: alpha 1e-4; the twin is a mirror that returns all light. Finite down to cos = 1e-4."""
     u = squares(100_000, 5)
@@ -257,6 +261,7 @@ def _expected(alpha, wo, fine):
     return shares * 2.0 * np.pi / (CELLS[0] * CELLS[1] * fine**2)
 
 
+@pytest.mark.case("BSDF-06")
 @pytest.mark.parametrize(("alpha", "fine"), [(0.2, 24), (0.5, 12), (1.0, 12)])
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 85.0])
 def test_bsdf_06_samples_follow_the_density(alpha, fine, degrees):
@@ -299,6 +304,7 @@ def test_weight_is_evaluate_over_pdf(kind, alpha, degrees):
     assert (weight <= np.array([0.9, 0.5, 0.1]) * (1.0 + 1e-6)).all()
 
 
+@pytest.mark.case("MIS-03")
 @pytest.mark.parametrize("kind", ["diffuse", "conductor"])
 @pytest.mark.parametrize(("oz", "iz"), [(0.0, 0.5), (-0.5, 0.5), (0.5, 0.0), (0.5, -0.5), (-0.5, -0.5)])
 def test_nothing_below_the_horizon(kind, oz, iz):

@@ -61,6 +61,7 @@ def test_averages_are_those_of_the_table():
 # --- energy ------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("BSDF-03")
 @pytest.mark.parametrize("alpha", ALPHAS)
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 75.0, 85.0])
 @pytest.mark.parametrize("metalness", [0.0, 0.5, 1.0])
@@ -141,6 +142,7 @@ SURFACES = [
 ]
 
 
+@pytest.mark.case("BSDF-04")
 @pytest.mark.parametrize("s", SURFACES, ids=["plastic", "mixed", "metal"])
 def test_reciprocity(s):
     a, b = hemisphere(100_000, 3), hemisphere(100_000, 4)

@@ -109,6 +109,7 @@ def opencv_pixels(cam, points) -> np.ndarray:
     return xy.reshape(-1, 2) + 0.5
 
 
+@pytest.mark.case("MRK-07", "TRAP-3h")
 @pytest.mark.parametrize("name", list(CASES))
 def test_mrk_07_rays_meet_what_opencv_projects(name):
     """MRK-07: k1 = +-.4 with points up to the picture's rim, against OpenCV in float64, .1 px allowed.

@@ -100,6 +100,7 @@ def truth(c, eta):
     return np.where(beyond, 1.0, rs**2), np.where(beyond, 1.0, rp**2)
 
 
+@pytest.mark.case("BSDF-07")
 def test_fresnel_equals_snell_and_fresnel_in_float64():
     """BSDF-07."""
     for eta in (1.5, 1 / 1.5, 1.001, 1 / 1.33, 2.4):
@@ -116,6 +117,7 @@ def test_fresnel_equals_snell_and_fresnel_in_float64():
     assert np.all(fresnel([0.0, 0.2, 1.0], 1.0) == 0.0)
 
 
+@pytest.mark.case("BSDF-07", "MIS-02")
 @pytest.mark.parametrize("eta", [1.5, 1 / 1.5, 1.0])
 def test_smooth_boundary_reflects_and_refracts(eta):
     u = np.random.default_rng(1).random((40000, 2))
@@ -163,6 +165,7 @@ def test_samples_have_the_density_and_value_that_are_told(alpha, eta, correlated
                 assert abs(by_uniform.mean() - by_own.mean()) < 4 * error + 1e-5
 
 
+@pytest.mark.case("BSDF-04")
 @pytest.mark.parametrize("eta", [1.5, 1 / 1.5])
 def test_reciprocity_with_the_square_of_the_index(eta):
     """BSDF-04: f / n^2 of light's side is symmetric: f(wo, wi) eta^2 = f(wi, wo) seen from behind."""

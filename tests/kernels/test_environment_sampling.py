@@ -115,6 +115,7 @@ def test_nearest_follows_the_convention():
     assert (light == expected).all(axis=1).mean() > 0.999, "only directions on an edge may differ"
 
 
+@pytest.mark.case("ENV-04", "TRAP-2d")
 @pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_constant_map_has_constant_density(shape, interpolation):
@@ -128,6 +129,7 @@ def test_constant_map_has_constant_density(shape, interpolation):
     assert np.abs(density * 4.0 * np.pi - 1.0).max() < 1e-6
 
 
+@pytest.mark.case("TRAP-2d")
 def test_density_without_sine_fails_at_the_poles():
     """TRAP-2d, printed: p = p_uv of texels weighted by luminance alone."""
     height = 512
@@ -189,6 +191,7 @@ def test_chi_square_and_light_of_real_maps(shared_data, name):
         assert abs(mean - truth) < 4.5 * error + 0.01 * truth
 
 
+@pytest.mark.case("TRAP-2a")
 def test_stored_sample_map_never_draws_most_texels():
     """TRAP-2a, printed: W x H inverted points are a fixed set. Ours reaches every lit bin."""
     image = random_map(64, 128, contrast=1.0)
@@ -211,6 +214,7 @@ def test_stored_sample_map_never_draws_most_texels():
     assert error < 0.05 * truth
 
 
+@pytest.mark.case("TRAP-2b")
 def test_samples_lie_on_lamps_beside_the_seam():
     """TRAP-2b: a linear read of stored directions invents some between lamps at azimuth +-179 deg."""
     width = 360
@@ -223,6 +227,7 @@ def test_samples_lie_on_lamps_beside_the_seam():
     assert abs(stored.mean()) < 1.0, "printed: half way between the two is the other side of the world"
 
 
+@pytest.mark.case("ENV-02")
 def test_no_draw_where_no_light_is():
     """ENV-02: black rows are never drawn, u = 0 included; a black map gives density and radiance 0."""
     image = random_map(16, 32)
@@ -256,6 +261,7 @@ def test_density_is_positive_wherever_light_is():
         assert (density[light.max(axis=1) > 0.0] > 0.0).all()
 
 
+@pytest.mark.case("ENV-01")
 @pytest.mark.parametrize("normal", [[0, 0, 1], [1, 0, 0], [0.6, 0, 0.8]])
 def test_two_strong_texels(normal):
     """ENV-01: irradiance by light samples against a float64 sum on a dense grid."""
@@ -269,6 +275,7 @@ def test_two_strong_texels(normal):
     assert abs(mean / (value * weight).sum() - 1.0) < 1e-3 + 4.0 * error / mean
 
 
+@pytest.mark.case("ENV-06", "TRAP-2c")
 def test_lamp_on_black_by_light_samples_alone():
     """ENV-06 and TRAP-2c: bilinear radiance with a density constant in the texel loses 43.75 %.
 
@@ -292,6 +299,7 @@ def test_lamp_on_black_by_light_samples_alone():
     assert abs(printed - 0.5625) < 0.005
 
 
+@pytest.mark.case("ENV-07")
 @pytest.mark.parametrize("degrees", [0.0, 90.0, 37.3, -180.0])
 def test_turned_map_is_a_turned_world(degrees):
     """ENV-07, with a lamp on the seam."""
@@ -309,6 +317,7 @@ def test_turned_map_is_a_turned_world(degrees):
     assert np.allclose(before[1], after[1], rtol=1e-4, atol=1e-4) and np.array_equal(before[2], after[2])
 
 
+@pytest.mark.case("ENV-08")
 @pytest.mark.parametrize(("row", "column"), [(3, 0), (20, 63), (31, 12)])
 @pytest.mark.parametrize("rows", ["centres", "endpoints"])
 def test_lamp_is_where_the_house_formula_says(row, column, rows):

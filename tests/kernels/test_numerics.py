@@ -95,6 +95,7 @@ def surface_starts(rng, scale, offset, count=20000):
     return p[keep], normal[keep], d[keep], t[keep], exact[keep]
 
 
+@pytest.mark.case("GEO-01", "TRAP-1k")
 @pytest.mark.parametrize("scale", [1e-4, 1e-2, 1.0, 1e2, 1e4])
 @pytest.mark.parametrize("offset", [0.0, 1.0, 1e3, 1e6])
 def test_offset_leaves_the_surface_on_the_side_of_the_ray(scale, offset):
@@ -109,6 +110,7 @@ def test_offset_leaves_the_surface_on_the_side_of_the_ray(scale, offset):
     assert (height < 32.0 * np.spacing(reach)).all(), "a step of few units in the last place"
 
 
+@pytest.mark.case("TRAP-1k")
 def test_a_bare_offset_fails_where_ours_holds():
     rng = np.random.default_rng(2)
     p, n, d, _t, exact = surface_starts(rng, 1.0, 1e3)
@@ -118,6 +120,7 @@ def test_a_bare_offset_fails_where_ours_holds():
     assert (height <= 0.0).mean() > 0.1
 
 
+@pytest.mark.case("GEO-01")
 @pytest.mark.parametrize("power", [-20, -3, 1, 17])
 def test_offset_scales_with_powers_of_two_to_the_bit(power):
     rng = np.random.default_rng(3)
@@ -143,6 +146,7 @@ def test_basis_is_a_rotation_with_n_as_third_column():
     assert np.abs(back.numpy()).max() < 1e-6
 
 
+@pytest.mark.case("MIS-01", "TRAP-2")
 def test_weights_sum_to_one_over_the_whole_range():
     """MIS-01: 1e6 pairs with densities 0..1e38 and inf, counts 0..1e3; sum is 1 within 4 units."""
     rng = np.random.default_rng(5)
@@ -173,6 +177,7 @@ def test_weights_sum_to_one_over_the_whole_range():
     assert np.isnan(forth[:, 4]).mean() > 0.1
 
 
+@pytest.mark.case("MIS-04")
 def test_weights_equal_float64():
     """MIS-04 too: the power heuristic at 1e20, where p^2 leaves float32."""
     rng = np.random.default_rng(6)
@@ -187,6 +192,7 @@ def test_weights_equal_float64():
     assert np.isnan(got[:, 4]).any()
 
 
+@pytest.mark.case("MIS-02", "MIS-03")
 def test_special_weights():
     """MIS-03 and deltas: 0 against 0 is 0, a delta against a density 1, none drawn 0."""
     inf = np.inf

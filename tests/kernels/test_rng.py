@@ -298,6 +298,7 @@ def test_independent_is_one_number_in_three_forms():
     assert np.array_equal(np.floor(precise * 2.0**24) * 2.0**-24, two)
 
 
+@pytest.mark.case("RNG-03", "RNG-06", "TRAP-2g")
 def test_conversion_never_reaches_one():
     """RNG-03, RNG-06: the naive forms give 1.0, and with it column W."""
     x = np.array([0, 255, 256, 2**31, 2**32 - 257, 2**32 - 128, 2**32 - 1], dtype=np.uint32)
@@ -316,6 +317,7 @@ def test_conversion_never_reaches_one():
     assert shifted == 1.0 and int(shifted * 1024) == 1024, "Cranley-Patterson in floats leaves the table"
 
 
+@pytest.mark.case("RNG-04")
 @pytest.mark.parametrize("k", range(13))
 def test_owen_points_fill_every_elementary_interval(k):
     """RNG-04: the first 2^k points put exactly one in each of the 2^k boxes of every shape."""
@@ -336,6 +338,7 @@ def test_later_blocks_are_nets_too():
     assert np.array_equal(np.sort(box, axis=1), np.broadcast_to(np.arange(64), box.shape))
 
 
+@pytest.mark.case("TRAP-2g")
 def test_cranley_patterson_breaks_the_net():
     """TRAP-2g: shifted Sobol points leave half of the 8x8 cells with another count than one."""
     key = pixel_keys(20, 10).ravel()[:, None]
@@ -353,6 +356,7 @@ def half_products(pairs):
     return ((pairs[0][..., 0] < 0.5) & (pairs[1][..., 0] < 0.5)).mean(axis=-1)
 
 
+@pytest.mark.case("TRAP-2f")
 def test_pairs_are_independent_of_each_other():
     """TRAP-2f: shifted copies of one sequence converge to a wrong value in every pixel."""
     key = pixel_keys(8, 8).ravel()[:, None]
@@ -366,6 +370,7 @@ def test_pairs_are_independent_of_each_other():
         assert 0.10 < printed.std() < 0.20, "no number of samples helps the printed form"
 
 
+@pytest.mark.case("RNG-05")
 @pytest.mark.parametrize("kind", KINDS)
 def test_padding_of_64_dimensions(kind):
     """RNG-05: mean of 4 u v is 1 for u, v of any two dimensions, within 4 standard errors of MC."""
@@ -401,6 +406,7 @@ def test_two_dimensions_of_one_pixel_are_jointly_uniform(kind):
         assert stats.chisquare(count.ravel()).pvalue > 1e-4
 
 
+@pytest.mark.case("RNG-02")
 @pytest.mark.parametrize("kind", KINDS)
 def test_neighbours_in_pixels_frames_and_views_are_uncorrelated(kind):
     """RNG-02: lags 1 to 8; correlation within 4 / sqrt(n), of samples and of pixel means."""
@@ -451,6 +457,7 @@ def test_keys_do_not_collide_and_every_bit_counts():
             assert abs(flips - 0.5) < 4.0 * 0.5 / np.sqrt(200 * 64)
 
 
+@pytest.mark.case("RNG-07")
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_repeat_far_out(kind):
     """RNG-07: there is no table to run past; dimensions and counters up to 2^32 give fresh pairs."""

@@ -8,6 +8,7 @@ import pytest
 from mrbatch.kernels import transfer as tf
 
 
+@pytest.mark.case("IO-03")
 @pytest.mark.parametrize("bits", [8, 10, 12, 16])
 @pytest.mark.parametrize("name", tf.TRANSFERS)
 def test_round_trip_is_exact_for_every_code(name, bits):

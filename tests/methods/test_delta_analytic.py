@@ -64,6 +64,7 @@ def room(*, reflectance=0.5):
     return [*corner(reflectance, size=64.0)]
 
 
+@pytest.mark.case("DPT-01", "TRAP-1")
 @pytest.mark.parametrize(
     "extra",
     [
@@ -87,6 +88,7 @@ def test_without_virtual_objects_no_bit_changes_and_nothing_is_traced(extra):
     assert result.plan.effects["light-change"].state == "absent"
 
 
+@pytest.mark.case("DPT-01", "DPT-07")
 def test_an_object_behind_the_wall_changes_nothing():
     """DPT-01/-07: everything is traced (no mask is asked for), and every contribution is exactly zero."""
     scene = scene_of([*corner(0.5), virtual("hidden", ball(0.5, at=(-3, 0, 1)), 0.9)])
@@ -96,6 +98,7 @@ def test_an_object_behind_the_wall_changes_nothing():
     assert found.counters["lookups"] == 0
 
 
+@pytest.mark.case("TRAP-1")
 def test_printed_miss_branch_brightens_an_empty_plane():
     """TRAP-1: lines 28-30 add w f cos L / p where a BRDF ray misses; p_env = 1 / 4 pi, Delta = .7012 rr."""
     c = (np.arange(200000) + 0.5) / 200000
@@ -111,6 +114,7 @@ def test_printed_miss_branch_brightens_an_empty_plane():
 # --- one ball ---------------------------------------------------------------------------------
 
 
+@pytest.mark.case("DPT-02")
 @pytest.mark.parametrize("gap", [0.5, 2.0])
 @pytest.mark.parametrize("s", [0.0, 1.0, 3.0])
 def test_black_ball_above_a_plane(gap, s):
@@ -127,6 +131,7 @@ def test_black_ball_above_a_plane(gap, s):
     )
 
 
+@pytest.mark.case("DPT-03")
 @pytest.mark.parametrize("q", [1.2, 2.0, 4.0])
 def test_half_sunk_black_ball(q):
     """DPT-03: the horizon cuts the ball; published values .16694, .02883, .00338."""
@@ -136,6 +141,7 @@ def test_half_sunk_black_ball(q):
     agrees(found.delta, found.delta_error, -0.5 * sunk_ball_share(q), 1e-3 * 0.5 * sunk_ball_share(q))
 
 
+@pytest.mark.case("GEO-08", "TRAP-1k")
 @pytest.mark.parametrize("gap", [0.0, 1e-6, 1e-3])
 def test_contact_does_not_leak(gap):
     """GEO-08: right under a ball that touches the plane no light is left."""
@@ -144,6 +150,7 @@ def test_contact_does_not_leak(gap):
     agrees(found.delta, found.delta_error, -0.5 * ball_share(1, 1 + gap, 0.01), 1e-4)
 
 
+@pytest.mark.case("DPT-13")
 def test_two_balls_in_line_and_a_ball_twice():
     """DPT-13: what hides what is a union; the same mesh twice is there once."""
     near, far = ball(0.5, at=(0, 0, 2)), ball(1.0, at=(0, 0, 6))
@@ -157,6 +164,7 @@ def test_two_balls_in_line_and_a_ball_twice():
         agrees(found.delta, found.delta_error, oracle, 1e-3 * abs(oracle))
 
 
+@pytest.mark.case("DPT-04", "MC-03")
 def test_white_furnace_ends_by_roulette_however_it_is_set():
     """DPT-04, MC-03: roulette early or late, or paths of a hundred edges, among white surfaces: no change."""
     objects = [real("floor", floor(), 1.0), virtual("ball", ball(subdivisions=5), 1.0, camera=False)]
@@ -165,6 +173,7 @@ def test_white_furnace_ends_by_roulette_however_it_is_set():
         agrees(found.delta, found.delta_error, 0.0, 1e-3)
 
 
+@pytest.mark.case("TRAP-1e")
 def test_capped_paths_are_cut_at_equal_length():
     """TRAP-1e: the listing subtracts all and adds up to B bounces; ours caps both sides alike.
 
@@ -186,6 +195,7 @@ def test_capped_paths_are_cut_at_equal_length():
 # --- walls ------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("DPT-05")
 @pytest.mark.parametrize(("rr", "rv", "oracle"), [(0.5, 0.5, -0.16667), (0.8, 0.2, -0.34167)])
 def test_huge_virtual_wall_bleeds(rr, rv, oracle):
     """DPT-05: radiosity of two half-planes, each seeing the other with form factor 1/2."""
@@ -201,6 +211,7 @@ def test_huge_virtual_wall_bleeds(rr, rv, oracle):
     assert found.delta[1] < found.delta[0] < found.delta[2]
 
 
+@pytest.mark.case("DPT-21")
 @pytest.mark.parametrize("rho", [0.2, 0.5, 0.8])
 def test_black_wall_before_a_whole_real_wall(rho):
     """DPT-21: what is lost is what the real wall sent, not the sky behind it (printed: -rho / 2)."""
@@ -210,6 +221,7 @@ def test_black_wall_before_a_whole_real_wall(rho):
     assert abs(found.delta[0] + rho / 2) > 0.05
 
 
+@pytest.mark.case("DPT-08", "TRAP-1c")
 def test_black_ball_wholly_before_a_black_wall_changes_nothing():
     """DPT-08, TRAP-1c: the printed form takes rr F away."""
     wall = placed(plane(BIG, BIG), at=(-2, 0, BIG / 2), normal=(1, 0, 0))
@@ -222,6 +234,7 @@ def test_black_ball_wholly_before_a_black_wall_changes_nothing():
     assert not found.pixels.any()
 
 
+@pytest.mark.case("DPT-08", "DPT-15", "TRAP-1d")
 def test_ball_before_a_lit_wall_and_in_a_corner_against_numpy():
     """DPT-08, DPT-15: two full path traces by an independent tracer."""
     r, rv = 0.5, 0.7
@@ -238,6 +251,7 @@ def test_ball_before_a_lit_wall_and_in_a_corner_against_numpy():
     agrees(full.virtual, np.hypot(full.virtual_error, em), m, 1e-4)
 
 
+@pytest.mark.case("TRAP-1b")
 def test_printed_form_darkens_an_empty_corner():
     """TRAP-1b: O counts blockers that the photo has already, -(1 - rho) of an empty corner."""
     rho = 0.5
@@ -265,6 +279,7 @@ def corner_scene(**options):
     return scene_of(objects, **options)
 
 
+@pytest.mark.case("GEO-01")
 @pytest.mark.parametrize("offset", [64.0, 2.0**20, 1e6])
 def test_a_scene_far_from_the_origin_equals_its_recentred_twin(offset):
     """GEO-01: float32 has a spacing of 1/16 m at 1e6; kernels work relative to a float64 origin."""
@@ -298,6 +313,7 @@ def test_the_origin_moves_with_the_scene_wherever_its_middle_lies():
         assert np.array_equal(two - one, [1.0, 0, 0])
 
 
+@pytest.mark.case("GEO-01", "TRAP-1k")
 def test_empty_tilted_plane_far_away_does_not_shadow_itself():
     """GEO-01: no self hits on a large tilted plane: all rays that leave it see the sky."""
     angle = 0.3
@@ -316,6 +332,7 @@ def test_empty_tilted_plane_far_away_does_not_shadow_itself():
             agrees(found.virtual, found.virtual_error, 1.0, 1e-4)
 
 
+@pytest.mark.case("DPT-19", "ENV-07")
 def test_turning_scene_and_map_together_changes_nothing():
     """DPT-19: yaw of everything, and the order of the objects."""
     home = corner_scene(environment=lamp_sky())
@@ -333,6 +350,7 @@ def test_turning_scene_and_map_together_changes_nothing():
     agrees(permuted.delta, np.hypot(permuted.delta_error, base.delta_error), base.delta)
 
 
+@pytest.mark.case("MIS-05")
 def test_strategies_have_the_same_mean():
     """MIS-05: light sampling, surface sampling and both, under a lamp."""
     home = corner_scene(environment=lamp_sky())
@@ -348,6 +366,7 @@ def test_strategies_have_the_same_mean():
 # --- furnaces and edges -------------------------------------------------------------------------
 
 
+@pytest.mark.case("MIS-05")
 @pytest.mark.parametrize("strategy", ["mis", "environment"])
 def test_more_directions_to_the_light_have_the_same_mean(strategy):
     """MIS-05: the weights know how many directions are drawn; the noise falls, the shadow rays rise."""
@@ -400,6 +419,7 @@ def test_white_objects_vanish_in_a_white_world(material):
         assert abs(values.mean() - 1) < room + 4 * values.std() / np.sqrt(len(values))
 
 
+@pytest.mark.case("DPT-11", "TRAP-3e")
 def test_card_edge_with_fractional_coverage():
     """DPT-11, TRAP-3e: coverage .37; D is the change of what stays visible, weighted once."""
     coverage = 0.37
@@ -436,6 +456,7 @@ def test_card_edge_with_fractional_coverage():
     assert abs(D.mean() - squared) > 10 * error
 
 
+@pytest.mark.case("DPT-20", "TRAP-3c")
 def test_black_photo_stays_black_and_delta_stays_signed():
     """DPT-20: the only cut is in the composite."""
     scene = scene_of([real("floor", floor()), virtual("ball", ball(), 0.0, camera=False)])
@@ -449,6 +470,7 @@ def test_black_photo_stays_black_and_delta_stays_signed():
 # --- samples ------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("MC-04")
 def test_one_batch_of_all_samples_equals_many_of_one():
     """MC-04: the same samples, summed in the same order: the same bits."""
     scene = corner_scene(environment=lamp_sky())

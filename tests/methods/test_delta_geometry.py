@@ -294,3 +294,31 @@ def test_odd_sizes_are_crops_of_larger_pictures(width, height):
     assert part.P.shape == (height, width, 3) and (part.D.any() or part.P.any())
     for name in ("P", "a", "D", "variance", "samples"):
         assert np.array_equal(getattr(part, name), getattr(whole, name)), name
+
+
+@pytest.mark.case("DPT-18")
+@pytest.mark.parametrize(
+    ("lamp", "blocker", "hidden"),
+    [((0, 0, 6), (0, 0, 2), True), ((0, 3, 4), (2, 0, 2), False), ((0, 0, 2), (0, 0, 8), None)],
+    ids=["lamp behind", "apart", "lamp in front"],
+)
+def test_a_virtual_lamp_behind_a_virtual_blocker_lights_nothing(lamp, blocker, hidden):
+    """What is behind takes no part: rr (F_lamp (L_e - 1) - F_black) over what the floor sees of each."""
+    e, rr = 5.0, 0.5
+    glow = Material(reflectance=(0.0,) * 3, emission=(e,) * 3)
+    objects = [
+        real("floor", floor(), rr),
+        SceneObject("lamp", ball(0.6, at=lamp), glow, True, camera=False),
+        virtual("black", ball(0.5, at=blocker), 0.0, camera=False),
+    ]
+    f_lamp, f_black = (
+        float(ball_share(r, at[2], np.hypot(at[0], at[1]))) for r, at in ((0.6, lamp), (0.5, blocker))
+    )
+    oracle = {
+        True: -rr * f_black,
+        False: rr * (f_lamp * (e - 1) - f_black),
+        None: rr * f_lamp * (e - 1),
+    }[hidden]
+    found = probe(scene_of(objects), (0, 0, 0), spp=1024)
+    assert np.all(np.abs(found.delta - oracle) < 1e-3 * abs(oracle) + 4 * found.delta_error)
+    assert np.all(found.delta_error < 0.05 * abs(oracle))

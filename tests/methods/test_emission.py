@@ -26,6 +26,7 @@ def glowing(emission, reflectance=0.0, **more):
     return Material(reflectance=grey, emission=tuple(np.broadcast_to(emission, 3).tolist()), **more)
 
 
+@pytest.mark.case("DPT-09", "TRAP-1f")
 @pytest.mark.parametrize("name", TRACERS)
 @pytest.mark.parametrize("emission", [0.0, 1.0, 5.0])
 def test_dpt_09_black_ball_that_glows(name, emission):

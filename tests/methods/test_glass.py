@@ -35,6 +35,7 @@ def seen(objects, light, eye=(0, -4, 0), target=(0, 0, 0), spp=64, method=DELTA,
     return pixels.mean(axis=0), pixels.std(axis=0, ddof=1) / 8
 
 
+@pytest.mark.case("BSDF-08")
 @pytest.mark.parametrize("alpha", [0.0, 0.02])
 @pytest.mark.parametrize("mesh", [ball(at=(0, 0, 0)), box((1.0, 1.0, 1.0))], ids=["ball", "box"])
 def test_bsdf_08_glass_under_an_even_sky_shows_the_sky(mesh, alpha):
@@ -56,6 +57,7 @@ def halves(upper, lower):
     return Environment(radiance)
 
 
+@pytest.mark.case("BSDF-07")
 def test_bsdf_07_slab_lets_through_what_fresnel_says():
     """A slab across the view from above: the ways back and forth sum to T = (1 - R) / (1 + R) = 0.92308."""
     slab = of(GLASS, box((8.0, 8.0, 0.01)))
@@ -75,6 +77,7 @@ def test_colour_is_left_after_depth():
     assert np.all(np.abs(found - (1 - r) ** 2 * t / (1 - (r * t) ** 2)) < 4 * error + 1e-4)
 
 
+@pytest.mark.case("DPT-12")
 def test_dpt_12_slab_shifts_what_lies_behind_by_snells_law():
     """10 mm of index 1.5 at 60 degrees shift the view by d sin i (1 - cos i / (n cos t)) = 5.125 mm."""
     slab = box((2.0, 2.0, 0.010))
@@ -93,6 +96,7 @@ def test_dpt_12_slab_shifts_what_lies_behind_by_snells_law():
         assert (found[0] > 0.5) == white
 
 
+@pytest.mark.case("BSDF-09")
 def test_bsdf_09_water_in_glass_does_not_mind_an_overlap():
     """Water reaches into the glass, or its walls stand apart: what comes through two walls and the water is
     1 / (1 + sum R / (1 - R)) over the boundaries that are there (light that goes to and fro adds up)."""
@@ -146,6 +150,7 @@ def test_glass_ball_throws_a_caustic():
     assert np.all(clear.delta > dark.delta + 0.03)
 
 
+@pytest.mark.case("DPT-16")
 def test_dpt_16_what_has_the_index_of_air_changes_no_bit():
     item = {"name": "bubble", "sphere": {"radius": "0.5 m"}, "material": {"type": "dielectric", "ior": 1.0}}
     table = {"name": "table", "plane": {"size": ["4 m", "4 m"]}, "reflectance": 0.5}

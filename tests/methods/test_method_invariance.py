@@ -57,6 +57,7 @@ def same(one, other, part=None):
         assert np.array_equal(a, b), name
 
 
+@pytest.mark.case("RNG-01")
 @METHODS
 def test_threads_and_launches_show_in_no_bit(method):
     base = render(method, threads=1)
@@ -74,6 +75,7 @@ def test_batches_show_in_no_bit(method):
         same(base, render(method, spp=16, settings={"batch": batch}))
 
 
+@pytest.mark.case("RNG-01", "IO-07")
 @METHODS
 @pytest.mark.parametrize("window", [Window(0, 0, 16, 16), Window(13, 9, 31, 27), Window(69, 49, 1, 1)])
 def test_a_crop_is_the_crop_of_the_whole(method, window):
@@ -135,6 +137,7 @@ def test_variance_is_that_of_independent_runs():
     assert pictures.var(axis=0, ddof=1).mean() == pytest.approx(told.mean(), rel=0.1)
 
 
+@pytest.mark.case("RNG-01")
 def test_an_effect_elsewhere_changes_no_number():
     """A pixel's numbers do not depend on which other effects are on: one split, one not."""
     plain = render(DELTA)

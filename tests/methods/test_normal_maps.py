@@ -77,6 +77,7 @@ def test_from_behind_the_map_is_turned_over():
     np.testing.assert_allclose(found.P, expected.P, rtol=2e-4, atol=1e-5)
 
 
+@pytest.mark.case("BSDF-10")
 @pytest.mark.parametrize("degrees", [60.0, 85.0])
 def test_bsdf_10_steep_maps_gain_nothing(degrees):
     """BSDF-10: a white card under the sky sends at most what comes, wherever it is seen from."""

@@ -88,6 +88,7 @@ def test_the_change_is_that_of_the_true_reflectance(light):
     assert np.percentile(worst, 95) < 0.1 * np.abs(truth).max()
 
 
+@pytest.mark.case("TRAP-3b")
 def test_change_over_photo_is_flat_on_a_checkerboard():
     """TRAP-3b: Delta / L_b does not depend on the ink, and is the closed form F of a black ball."""
     cells = np.indices((8, 8)).sum(axis=0) % 2

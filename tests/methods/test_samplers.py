@@ -58,6 +58,7 @@ def test_shifted_points_give_the_same_mean():
     assert np.all(np.abs(one - two) <= 4.5 * np.hypot(error, other))
 
 
+@pytest.mark.case("TRAP-2a")
 def test_sample_map_gives_another_mean():
     """Thousands of samples do not help: only 8 x 16 directions are ever asked for light."""
     light = np.full((8, 16, 3), 0.2, np.float32)

@@ -133,6 +133,7 @@ def test_holdout_shows_the_photo_and_hides_what_is_behind(method):
     assert inside.shape and not held.developed.P[covered].any() and not held.developed.D[covered].any()
 
 
+@pytest.mark.case("DPT-14", "TRAP-1i")
 def test_real_holdout_keeps_the_photo_and_still_reflects_what_changed():
     """No Delta where the camera sees it, nothing virtual behind it; on others its light is as it was."""
     size = 2.0**14
@@ -294,6 +295,7 @@ def test_absent_effects_would_have_changed_nothing():
         assert np.array_equal(getattr(lean.developed, name), getattr(full.developed, name)), name
 
 
+@pytest.mark.case("ENV-02")
 @DIFFERENTIAL
 def test_black_light_gives_nothing_at_all(method):
     objects = [FLAT, virtual("ball", ball(at=(0, 0, 1.2), subdivisions=2), 0.6)]

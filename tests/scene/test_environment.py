@@ -90,6 +90,7 @@ def test_weight_is_the_root_mean_square_of_the_cell():
             assert abs(t.weight[row, column] / (omega * np.sqrt(mean)) - 1.0) < 1e-9
 
 
+@pytest.mark.case("ENV-05", "TRAP-2e")
 def test_cdf_keeps_a_range_of_1e9():
     """ENV-05, TRAP-2e: stored widths equal the float64 weights; a flat float32 sum loses texels."""
     image = random_map(128, 256, contrast=1.0)
@@ -121,6 +122,7 @@ def test_endpoint_rows_reach_the_poles():
 # --- Integrals ---
 
 
+@pytest.mark.case("ENV-04")
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (5, 3), (1, 7), (40, 90)])
 @pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
 def test_constant_map_gives_pi(shape, interpolation):
@@ -132,6 +134,7 @@ def test_constant_map_gives_pi(shape, interpolation):
     assert np.abs(environment.fluence() / (4.0 * np.pi * value) - 1.0).max() < 1e-12
 
 
+@pytest.mark.case("TRAP-2d")
 @pytest.mark.parametrize("rows", ["centres", "endpoints"])
 @pytest.mark.parametrize("shape", [(2, 2), (5, 3), (33, 50)])
 def test_irradiance_and_fluence_equal_a_dense_sum(rows, shape):
@@ -150,6 +153,7 @@ def test_irradiance_and_fluence_equal_a_dense_sum(rows, shape):
     assert np.allclose(environment.irradiance(normals), expected, rtol=2e-5)
 
 
+@pytest.mark.case("ENV-03")
 def test_one_texel_at_the_pole():
     """ENV-03: with texels as steps, E = L (pi / W) sin^2(pi / H); bilinear, the tent's own integral."""
     height, width = 16, 24
@@ -241,6 +245,7 @@ def test_cone_bound_is_useful():
 # --- What is refused ---
 
 
+@pytest.mark.case("ENV-09")
 def test_values_that_are_no_radiance_are_refused_with_places():
     """ENV-09, and TRAP-2d's +inf from a half that was too small."""
     image = np.ones((4, 6, 3), dtype=np.float32)
@@ -323,6 +328,7 @@ def test_channels_are_found_by_name(tmp_path):
         load_environment(write(tmp_path / "z.exr", image[..., :2], ("Z", "N"), "float"))
 
 
+@pytest.mark.case("ENV-09")
 def test_files_that_cannot_be_used(tmp_path):
     image = random_map(16, 32)
     with pytest.raises(InputError, match="does not exist"):

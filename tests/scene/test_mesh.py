@@ -246,6 +246,7 @@ def test_gltf_nodes_place_and_mirror(tmp_path):
     np.testing.assert_allclose(mesh.uvs[at_origin], [[0.0, 1.0]])
 
 
+@pytest.mark.case("GEO-04")
 def test_geo_04_unusable_triangles_are_dropped_and_counted(tmp_path):
     """GEO-04: zero area, repeated corners, NaN and infinite vertices; the rest is kept bit for bit."""
     vertices = np.concatenate([SQUARE, [[np.nan, 0, 0], [0.5, 0, 0], [0, np.inf, 0]]])
@@ -376,6 +377,7 @@ def test_unused_and_cancelling_vertices_get_a_unit_normal():
     np.testing.assert_allclose(np.linalg.norm(mesh.with_angle_weighted_normals().normals, axis=1), 1.0)
 
 
+@pytest.mark.case("GEO-07")
 @pytest.mark.parametrize("seed", range(4))
 def test_transform_keeps_facets_outward_and_normals_upright(seed):
     rng = np.random.default_rng(seed)

@@ -44,10 +44,10 @@ pytestmark = pytest.mark.slow
 SIDE, BLOCK = 24, 6
 SHARE = 0.005
 """Of the region's mean radiance: what the interval of a difference must lie within."""
-AIM = 0.00075
-"""Standard error, as a share of the same, for which samples are taken: the interval's half is 0.2 %."""
-SPP, PILOT, FEWEST, MOST = 48, 8, 24, 500
-"""Samples of one picture; pictures that tell the noise; fewest and most pictures of a method."""
+AIM = 0.0005
+"""Standard error, as a share of the same, for which samples are taken: the interval's half is 0.13 %."""
+PILOT, FEWEST, MOST = 256, 1024, 1 << 15
+"""Samples a pixel: those that tell the noise, fewest and most."""
 LEAST = 1e-6
 """Chance below which blocks differ: all cases together compare some 4000."""
 METHODS = (DELTA, ONE_PASS, TWO_PASS)
@@ -203,7 +203,7 @@ class Case:
     def name(self) -> str:
         return f"{self.place}, {self.material}, {self.light}"
 
-    def developed(self, method, seed, spp=SPP, **options):
+    def developed(self, method, seed, spp, **options):
         objects = objects_of(self.place, self.material)
         b = photo(self.place, self.material, self.light)
         return estimate(
@@ -219,51 +219,59 @@ class Case:
         return changed, float(shown[changed].mean())
 
 
-def pictures(case: Case, method, first: int, count: int, **options) -> np.ndarray:
-    """(count, h, w, 3) D of runs with seeds of their own."""
-    return np.array([case.developed(method, first + k, **options).D for k in range(count)])
+@dataclass(frozen=True)
+class Change:
+    """D (h, w, 3) of one long run, and the variance of each of its numbers: a quarter of the square of what
+    the two halves of the film differ by, which have scrambles of their own."""
+
+    D: np.ndarray
+    variance: np.ndarray
+    spp: int
 
 
-def enough_pictures(case: Case, method, number: int, region, scale, **options) -> np.ndarray:
-    """As many runs as a pilot, which is thrown away, says that the standard error needs.
+def change(case: Case, method, seed: int, spp: int, **options) -> Change:
+    halves = case.developed(method, seed, spp, **options).halves[..., 4:7]
+    return Change(halves.mean(axis=0), 0.25 * (halves[0] - halves[1]) ** 2, spp)
+
+
+def mean_of(found: Change, region, scale) -> tuple[float, float]:
+    """Mean over region and channels, and its standard error, as shares of `scale`. Channels go together."""
+    error = np.sqrt(found.variance[region]).mean(axis=1)
+    return found.D[region].mean() / scale, float(np.sqrt((error**2).sum()) / len(error) / scale)
+
+
+def long_enough(case: Case, method, number: int, region, scale, **options) -> Change:
+    """As many samples as a pilot, which is thrown away, says that the standard error needs.
 
     Raises AssertionError where that is more than `MOST`.
     """
-    start = zlib.crc32(case.name.encode()) % 1_000_000 + 1_000_000 * (1 + number)
-    pilot = pictures(case, method, start, PILOT, **options)[:, region].mean(axis=(1, 2)) / scale
-    # Of eight runs a standard deviation is known to a quarter.
-    wanted = int(np.ceil((1.25 * pilot.std(ddof=1) / AIM) ** 2))
-    assert wanted <= MOST, f"{method.name} would need {wanted} pictures: the scene is too noisy to tell"
-    return pictures(case, method, start + 1000, max(wanted, FEWEST), **options)
+    seed = zlib.crc32(case.name.encode()) % 1_000_000 + 1_000_000 * (1 + number)
+    pilot = mean_of(change(case, method, seed, PILOT, **options), region, scale)[1]
+    wanted = int(np.ceil(PILOT / 2 * (pilot / AIM) ** 2)) * 2
+    assert wanted <= MOST, f"{method.name} would need {wanted} samples: the scene is too noisy to tell"
+    return change(case, method, seed + 500_000, max(wanted, FEWEST), **options)
 
 
-def blocks(pictures: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """(count, n, 3) sums over blocks, of what lies in the region."""
+def blocks(values: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """(n, 3) sums over blocks, of what lies in the region."""
     n = SIDE // BLOCK
-    inside = pictures * region[..., None]
-    return inside.reshape(len(pictures), n, BLOCK, n, BLOCK, 3).sum(axis=(2, 4)).reshape(len(pictures), -1, 3)
+    return (values * region[..., None]).reshape(n, BLOCK, n, BLOCK, 3).sum(axis=(1, 3)).reshape(-1, 3)
 
 
-def error_of(values: np.ndarray) -> np.ndarray:
-    return values.std(axis=0, ddof=1) / np.sqrt(len(values))
-
-
-def judged(a: np.ndarray, b: np.ndarray, region, scale):
-    """Equivalence of two sets of pictures on the region, and the least probability (Student's law, of as many
-    degrees as the fewer runs have) that chance moves any block and channel as far apart as they are."""
-    means = [p[:, region].mean(axis=(1, 2)) / scale for p in (a, b)]
-    difference = means[0].mean() - means[1].mean()
-    error = np.hypot(error_of(means[0]), error_of(means[1]))
-    fewer = min(len(a), len(b))
-    shown = equivalence_test(float(difference), float(error), SHARE, observations=fewer)
-    parts = [blocks(p, region) for p in (a, b)]
-    # A block of which hardly a pixel is in the region, or that no noise reaches, is not a measurement.
-    some = region.reshape(SIDE // BLOCK, BLOCK, -1, BLOCK).sum(axis=(1, 3)).ravel() >= 4
-    floor = 1e-4 * scale * BLOCK**2
-    z = (parts[0].mean(axis=0) - parts[1].mean(axis=0)) / np.hypot(
-        np.hypot(error_of(parts[0]), error_of(parts[1])), floor
+def judged(a: Change, b: Change, region, scale):
+    """Equivalence of two changes on the region, and the least probability that chance moves any block and
+    channel as far apart as they are (Student's law, of as many degrees as the block has pixels)."""
+    (one, first), (other, second) = (mean_of(found, region, scale) for found in (a, b))
+    shown = equivalence_test(
+        float(one - other), float(np.hypot(first, second)), SHARE, observations=int(region.sum())
     )
-    return shown, float(2 * stats.t.sf(np.abs(z[some]).max(), fewer - 1))
+    pixels = blocks(np.ones((SIDE, SIDE, 3)), region)[:, 0]
+    some = pixels >= 8
+    # A block that no noise reaches is not a measurement: nor is a difference below the float's own.
+    floor = 1e-4 * scale * BLOCK**2
+    error = np.sqrt(blocks(a.variance + b.variance, region) + floor**2)
+    z = (blocks(a.D, region) - blocks(b.D, region)) / error
+    return shown, float((2 * stats.t.sf(np.abs(z), pixels[:, None] - 1))[some].min())
 
 
 CASES = [
@@ -276,14 +284,14 @@ CASES = [
 def test_methods_have_the_same_mean(case):
     region, scale = case.region()
     assert region.mean() > 0.3
-    found = [enough_pictures(case, m, n, region, scale) for n, m in enumerate(METHODS)]
-    size = float(np.abs(found[0].mean(axis=0))[region].mean()) / scale
+    found = [long_enough(case, m, n, region, scale) for n, m in enumerate(METHODS)]
+    size = float(np.abs(found[0].D)[region].mean()) / scale
     for method, other in zip(METHODS[1:], found[1:]):
         shown, chance = judged(found[0], other, region, scale)
         print(
             f"{case.name}: {method.name} {100 * shown.difference.low:+.3f} .. "
             f"{100 * shown.difference.high:+.3f} % of the radiance; change {100 * size:.1f} %; "
-            f"blocks {chance:.1e}; {len(found[0])}, {len(other)} runs"
+            f"blocks {chance:.1e}; {found[0].spp}, {other.spp} samples"
         )
         assert shown.passed, (method.name, shown)
         # Not half a per cent of much light that nothing changes: the change itself is measured.
@@ -300,7 +308,7 @@ def test_a_change_without_one_of_its_parts_is_found(wrong):
     """Power: without light that virtual things send, or with none hidden between real ones, means differ."""
     case = Case("box", "diffuse", "soft")
     region, scale = case.region()
-    cut = enough_pictures(case, DELTA, 5, region, scale, forced={wrong: "off"})
-    whole = enough_pictures(case, TWO_PASS, 6, region, scale)
+    cut = long_enough(case, DELTA, 5, region, scale, forced={wrong: "off"})
+    whole = long_enough(case, TWO_PASS, 6, region, scale)
     shown, chance = judged(cut, whole, region, scale)
     assert shown.outcome == "fail" and chance < LEAST

@@ -31,6 +31,7 @@ def mean_of(runs, shadow, columns, smooth):
     return np.mean(found), np.std(found, ddof=1) / np.sqrt(len(found))
 
 
+@pytest.mark.case("TRAP-3f")
 @pytest.mark.parametrize("kind", ALL)
 def test_a_thin_shadow_keeps_its_depth_where_the_printed_filter_loses_it(kind):
     """TRAP-3f: a shadow of 3 pixels, 20 standard errors deep; the 5-tap Gauss keeps 68 % of it."""
@@ -44,6 +45,7 @@ def test_a_thin_shadow_keeps_its_depth_where_the_printed_filter_loses_it(kind):
     assert error < 0.002  # or the first line says nothing
 
 
+@pytest.mark.case("TRAP-3f")
 @pytest.mark.parametrize("kind", ALL)
 def test_a_step_of_any_height_errs_by_less_than_two_standard_errors(kind):
     """TRAP-3f: the printed filter is off by .35 of the step at its first pixel."""
@@ -127,6 +129,7 @@ def test_objects_do_not_mix(kind):
     assert np.array_equal(part[:, 30:], noisy.D[:, 30:])
 
 
+@pytest.mark.case("TRAP-3f")
 @pytest.mark.parametrize("kind", ALL)
 def test_where_nothing_changes_the_photo_keeps_its_bits(kind):
     rng = np.random.default_rng(3)
