@@ -19,6 +19,7 @@ LIMIT = 400
 LONGER = {
     "metrics/errors.py": "the figures share windows and weights",
     "capture/marker_video/video.py": "one reader: table, decoding and colour of a video",
+    "methods/delta_path_tracing/kernels.py": "one kernel, which is the estimator",
     "film/exr.py": "writing, reading and checking mirror each other",
     "batch/run.py": "one loop: claims, commits and failures of frames",
 }

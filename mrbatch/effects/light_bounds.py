@@ -18,6 +18,7 @@ loses of it. So metal, which focuses light, and surfaces whose reflectance is no
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -100,6 +101,11 @@ class Body:
     albedo: np.ndarray
 
 
+def most_emission(items: Sequence[SceneObject]) -> np.ndarray:
+    """(3,): what none of the objects emits more than."""
+    return np.max([o.material.most_emission for o in items] or [np.zeros(3)], axis=0)
+
+
 def body_of(item: SceneObject) -> Body:
     return Body(item, Box(*item.mesh.bounds()), plane_of(item.mesh), _albedo(item))
 
@@ -133,7 +139,7 @@ class LightBounds:
     def _most_anywhere(self) -> np.ndarray:
         """No surface returns more than it gets; where one emits, what goes to and fro adds up as a series."""
         most = self.light.most_radiance()
-        emitted = np.max([b.item.material.most_emission for b in self.virtual] or [np.zeros(3)], axis=0)
+        emitted = most_emission([b.item for b in self.virtual + self.real])
         if not emitted.any():
             return most
         albedo = max((float(b.albedo.max()) for b in self.senders + self.walls), default=0.0)
@@ -149,7 +155,7 @@ class LightBounds:
             return self.ceiling
         # Of a diffuse surface: albedo / pi times its irradiance, which is at most the map's and what other
         # surfaces return of it, a geometric series.
-        emitted = np.max([b.item.material.most_emission for b in self.senders] or [np.zeros(3)], axis=0)
+        emitted = most_emission([b.item for b in casting])
         series = (emitted + albedo / np.pi * self.light.most_irradiance()) / (1 - albedo)
         return np.minimum(series, self.ceiling)
 

@@ -6,8 +6,10 @@ import numpy as np
 
 from mrbatch.contracts import Rule, Verdict
 from mrbatch.effects.camera_rules import DEPTH_OF_FIELD, MOTION_BLUR
-from mrbatch.effects.facts import ShotFacts
+from mrbatch.effects.facts import FrameFacts, ShotFacts
+from mrbatch.effects.light_bounds import body_of
 from mrbatch.effects.verdict import absent, needed
+from mrbatch.scene.lamp_table import emits
 
 
 def _virtual(facts: ShotFacts) -> Verdict:
@@ -41,10 +43,43 @@ def _normal_maps(facts: ShotFacts) -> Verdict:
 
 
 def _emission(facts: ShotFacts) -> Verdict:
-    lit = [o for o in facts.scene.virtual if o.material.most_emission.any()]
+    lit = [o for o in facts.scene.objects if o.material.most_emission.any()]
     if not lit:
-        return absent("no virtual object emits light")
-    return needed("virtual objects that emit light", objects=len(lit))
+        return absent("no object emits light")
+    # What the camera does not see only lights others; no mirror may show it, nor may its light go to and fro
+    # without a bound.
+    seen = any(o.camera and o.virtual for o in lit)
+    if facts.half_code > 0.0 and not seen:
+        most = max(_lamp_light(facts, frame) for frame in facts.frames)
+        if most < facts.half_code:
+            return Verdict(
+                "negligible", "what emits is unseen, and lights nothing by half a code value", bound=most
+            )
+    return needed("objects that emit light", objects=len(lit))
+
+
+def _lamp_light(facts: ShotFacts, frame: FrameFacts) -> float:
+    """The most that lamps add to any surface at a frame, in the photo's units: from l away a ball of radius r
+    fills the share (r / l)^2 of a hemisphere at most, and of what comes of it surfaces return no more than
+    their albedo, again and again."""
+    bodies = [body_of(o) for o in facts.scene.at(frame.number).objects if o.cast_shadow or o.camera]
+    albedo = max((float(b.albedo.max()) for b in bodies), default=0.0)
+    if albedo >= 1.0 or any(b.item.material.kind != "diffuse" for b in bodies):
+        return np.inf
+    most = np.zeros(3)
+    for body in bodies:
+        direct = np.zeros(3)
+        for lamp in (b for b in bodies if emits(b.item) and b is not body):
+            low, high = body.box.low, body.box.high
+            gap = np.linalg.norm(np.maximum(np.maximum(low - lamp.box.centre, lamp.box.centre - high), 0.0))
+            share = 1.0 if gap <= lamp.box.radius else (lamp.box.radius / gap) ** 2
+            direct += share * lamp.item.material.most_emission
+        if emits(body.item):
+            # Its own parts may see each other.
+            direct += body.item.material.most_emission
+        most = np.maximum(most, body.albedo * direct)
+    gain = np.max([np.asarray(g, dtype=np.float64) for g in frame.gains.values()], axis=0)
+    return float((gain * most / (1.0 - albedo)).max())
 
 
 def _transmission(facts: ShotFacts) -> Verdict:
@@ -113,7 +148,7 @@ VIRTUAL = Rule("virtual", "what the camera sees of virtual objects", _virtual)
 GLOSSY = Rule("glossy", "glossy reflection", _glossy)
 TEXTURES = Rule("textures", "reflectance that varies over a surface", _textures)
 NORMAL_MAPS = Rule("normal-maps", "shading normals from a map", _normal_maps)
-EMISSION = Rule("emission", "light that virtual objects send of themselves", _emission)
+EMISSION = Rule("emission", "light that objects send of themselves", _emission)
 TRANSMISSION = Rule("transmission", "light through glass and the like", _transmission)
 ALPHA = Rule("alpha", "surfaces that are there in part, by opacity or cut out", _alpha)
 THIN_GLASS = Rule("thin-glass", "light straight through thin panes", _thin_glass)

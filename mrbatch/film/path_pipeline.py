@@ -15,6 +15,8 @@ from mrbatch.film.outputs import FrameInput, Outputs
 from mrbatch.film.photo_reflectance import photo_buffers, photo_passes
 from mrbatch.film.pixel_pass import pixel_pass
 from mrbatch.scene.counters import COUNTERS
+from mrbatch.scene.lamp_table import is_lamp
+from mrbatch.scene.lamps import lamp_strategy
 from mrbatch.scene.light_paths import PathFlags, path_numbers
 from mrbatch.scene.path_settings import PathSettings
 from mrbatch.scene.scene_data import DeviceScene
@@ -57,6 +59,7 @@ def camera_path_flags(
         "light_candidates": settings.light_candidates,
         "several_lights": settings.light_samples > 1,
         "strategy": settings.strategy if on("environment-light") else "bsdf",
+        "lamps": lamp_strategy(settings.strategy, on("emission") and any(map(is_lamp, scene.scene.objects))),
         "shading": ShadingFlags(
             textures=on("textures"),
             photo=on("photo-reflectance"),

@@ -3,7 +3,8 @@
 With it the light change of a real point is L_b dE / E_r (Sato et al.; TRAP-3b of Xu et al.'s
 method): no albedo has to be known, and ink stays ink under a shadow. E_r, the irradiance without
 virtual objects, comes from the environment where no real surface is in the way, from the photo where
-one is that the camera sees, and by further bounces from one that it does not. Of a flat surface the
+one is that the camera sees, and by further bounces from one that it does not. Declared lamps add what they
+are said to emit: the photo clips them. Of a flat surface the
 irradiance of the open map is known in closed form: no ray is traced where nothing rises above it, and where
 something does, only what that takes away and sends is sampled. A point that the camera does not see takes
 the mean reflectance of its surface.
@@ -29,6 +30,7 @@ from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
 from mrbatch.kernels.numerics import (
     balance_heuristic,
+    max_component,
     offset_origin,
     orthonormal_basis,
     to_world,
@@ -36,6 +38,8 @@ from mrbatch.kernels.numerics import (
 from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import cosine_hemisphere
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.lamp_table import is_lamp
+from mrbatch.scene.lamps import lamp_pdf, lamp_ray, make_lamp_weights
 from mrbatch.scene.mesh import plane_of
 from mrbatch.scene.scene import Scene
 from mrbatch.scene.scene_data import PHOTO, DeviceScene, SceneData, surface_point
@@ -51,6 +55,7 @@ SHADED = wp.constant(wp.int32(2))
 BOUNCES = wp.constant(wp.int32(8))
 """Longest path over surfaces that the camera does not see."""
 DIMENSION = wp.constant(wp.int32(1 << 20))
+LAMP_DIMENSION = wp.constant(wp.int32((1 << 20) + 2 * 8))
 _INV_PI = wp.constant(wp.float32(0.31830988618379067))
 _PI = wp.constant(wp.float32(3.14159265358979323))
 
@@ -89,7 +94,7 @@ def photo_struct(view: ViewOutput, frame: FrameInput, camera: Any, on: bool, dev
 
 @functools.cache
 def _make_kernels(
-    engine: Engine, model: str, distortion: bool, interpolation: str, light_sampler: str
+    engine: Engine, model: str, distortion: bool, interpolation: str, light_sampler: str, lamps: bool
 ) -> tuple[Any, Any]:
     trace, occluded = rays(engine).trace, rays(engine).occluded
     camera = make_camera(model, distortion)  # type: ignore[arg-type]
@@ -97,7 +102,8 @@ def _make_kernels(
     environment = make_environment(interpolation, light_sampler)  # type: ignore[arg-type]
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler("owen")
-    sample_vertex = sampler.sample_vertex
+    sample_vertex, sample_2d_bits = sampler.sample_vertex, sampler.sample_2d_bits
+    over_pdf, scattered = make_lamp_weights("mis")
 
     @wp.kernel(enable_backward=False, module="unique")
     def identify(
@@ -185,6 +191,16 @@ def _make_kernels(
                         if change:
                             w = -w
                         value += wp.cw_mul(throughput, env_radiance(scene.environment, light.direction)) * w
+                if wp.static(lamps):
+                    lamp = lamp_ray(scene, here, sample_2d_bits(key, n, LAMP_DIMENSION + bounce), True)
+                    cosine = wp.dot(here.ns, lamp.direction)
+                    if lamp.pdf > 0.0 and cosine > 0.0 and wp.dot(here.ng, lamp.direction) > 0.0:
+                        o = offset_origin(here.p, here.ng, lamp.direction, here.reach)
+                        cast += 1
+                        if not occluded(scene.real_set, o, lamp.end - o, 1.0):
+                            w = cosine * over_pdf(1, lamp.pdf, cosine * _INV_PI)
+                            sent = scene.objects[lamp.point.object].emission
+                            value += wp.cw_mul(throughput, sent) * w
                 local = cosine_hemisphere(unit_pair(numbers_here.scatter))
                 d = to_world(basis, local)
                 if local[2] <= 0.0 or wp.dot(here.ng, d) <= 0.0:
@@ -200,13 +216,21 @@ def _make_kernels(
                     value += wp.cw_mul(throughput, env_radiance(scene.environment, d)) * w
                 if seen.triangle < 0:
                     break
+                left = here.p
                 here = surface_point(scene, seen.triangle, seen.u, seen.v, d)
+                glows = bool(False)
+                if wp.static(lamps):
+                    sent = scene.objects[here.object].emission
+                    glows = max_component(sent) > 0.0
+                    if glows:
+                        w = _PI * scattered(local[2] * _INV_PI, 1, lamp_pdf(scene, left, here, True))
+                        value += wp.cw_mul(throughput, sent) * w
                 at = camera_project(frame.camera, here.p)
                 i = wp.int32(wp.floor(at[0])) - film.x
                 j = wp.int32(wp.floor(at[1])) - film.y
                 shown_here = bool(False)
                 k = j * film.width + i
-                if at[2] > 0.0 and i >= 0 and j >= 0 and i < film.width and j < film.height:
+                if not glows and at[2] > 0.0 and i >= 0 and j >= 0 and i < film.width and j < film.height:
                     shown_here = frame.photo.object[k] == here.object
                 if shown_here:
                     # The same object may hide this part of itself, or show its other side.
@@ -278,7 +302,12 @@ def photo_passes(
     picture = replace(view, window=view.whole)
     light = scene.scene.environment
     identify, reflectance = _make_kernels(
-        scene.engine, view.model, distortion, light.interpolation, light.light_sampler
+        scene.engine,
+        view.model,
+        distortion,
+        light.interpolation,
+        light.light_sampler,
+        any(map(is_lamp, scene.scene.real)),
     )
 
     sides, normals, lights = open_sides(scene.scene)

@@ -150,6 +150,8 @@ def _real(item: given.RealObject, camera_of: CameraOf | None) -> tuple[SceneObje
         material = Material(from_photo=True)
     else:
         material = material_of("diffuse", item.reflectance, 0.0)
+    if item.emission is not None:
+        material = replace(material, emission=item.emission)
     notes: tuple[str, ...] = ()
     if item.depth_map is not None:
         mesh, note = load_depth_mesh(item.depth_map, _camera_of_frame(item, item.depth_map.frame, camera_of))

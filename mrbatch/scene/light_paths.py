@@ -1,9 +1,9 @@
 """What methods that trace light paths share: the leg of a path, its weights and its end, for kernels.
 
 A *leg* is the radiance that leaves a surface point, by unidirectional path tracing among the objects of
-one ray set: at every vertex the environment is sampled and the surface scatters, with the balance
-heuristic between the two (Veach and Guibas, 1995). Its random numbers are those of its place on the
-path, so that two legs of the same length from the camera have common ones.
+one ray set: at every vertex the environment and what emits are sampled and the surface scatters, with the
+balance heuristic between directions to light and scattered ones (Veach and Guibas, 1995). Its random numbers
+are those of its place on the path, so that two legs of the same length from the camera have common ones.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import warp as wp
 
-from mrbatch.device.rays import FAR, Engine, Hit, RaySet, rays
+from mrbatch.device.rays import FAR, Engine, RaySet, rays
 from mrbatch.kernels.bsdf import DIELECTRIC, make_bsdf
 from mrbatch.kernels.camera import make_camera
 from mrbatch.kernels.environment import make_environment
@@ -25,8 +25,11 @@ from mrbatch.kernels.numerics import (
     to_world,
 )
 from mrbatch.kernels.rng import VertexNumbers, make_sampler, unit_pair
+from mrbatch.scene.lamps import lamp_pdf, make_lamp_weights
+from mrbatch.scene.light_arrival import SKY, ArrivalFuncs, make_arrivals
 from mrbatch.scene.light_candidates import make_light_direction
 from mrbatch.scene.media import Media, crossed, enters, index_of, medium_of, passed
+from mrbatch.scene.onward import make_follow
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import RECEIVE, SceneData, SurfacePoint, surface_point
 from mrbatch.scene.see_through import DIM_STOP, STOPS, make_see_through
@@ -34,13 +37,12 @@ from mrbatch.scene.shading import PhotoReflectance, ShadingFlags, make_surface
 
 DIM_PIXEL = wp.constant(wp.int32(0))
 DIM_VERTEX = wp.constant(wp.int32(8))
-"""Dimensions of a vertex begin at this times the edges before it."""
+"""Dimensions of a vertex begin at this times the edges before it: directions to the map and scattered ones at
+0 and 1, roulette at 2, a choice among candidates at 3, points on lamps at 4."""
 DIM_ROULETTE = wp.constant(wp.int32(2))
 ROULETTE_MOST = wp.constant(wp.float32(0.95))
 """A path survives roulette at most this often, so that it ends even among white walls."""
 ROULETTE_LEAST = wp.constant(wp.float32(0.05))
-MOST_UNSEEN = 32
-"""Boundaries inside denser media that one ray may pass."""
 UNLIMITED = 1 << 20
 """Edges that no path reaches."""
 
@@ -58,9 +60,11 @@ class PathFlags:
     sampler: str = "owen"
     light_sampler: str = "median-cut"
     strategy: str = "mis"
+    lamps: str = "none"
+    """How light of objects that emit is sampled (`scene.lamps.lamp_strategy`)."""
     shading: ShadingFlags = ShadingFlags()
     several_lights: bool = False
-    """More than one direction is drawn from the environment where the camera's ray ends."""
+    """More than one direction to light is drawn where the camera's ray ends."""
     light_candidates: int = 1
     """Of so many directions from the environment one is chosen."""
     ray_start: str = "exact"
@@ -72,7 +76,7 @@ class PathFlags:
 class PathNumbers:
     """Numbers of the estimator. `max_edges`: longest path in edges, the camera's included.
     `roulette_from`: edges from which roulette may end a path. `light_samples`: directions drawn from the
-    environment where the camera's ray ends."""
+    environment, and to lamps, where the camera's ray ends."""
 
     max_edges: wp.int32
     roulette_from: wp.int32
@@ -99,39 +103,27 @@ class Leg:
     vertices: wp.int32
 
 
-@wp.struct
-class Onward:
-    """Where a ray ends: the hit, the media it is in there, the share of light that comes through them, and
-    further rays that this took."""
-
-    hit: Hit
-    media: Media
-    passed: wp.vec3
-    rays: wp.int32
-
-
 @dataclass(frozen=True)
 class PathFuncs:
     """`wp.func`s of light paths.
 
     `path(scene, photo, numbers, among, start, direction, edges, key, index) -> Leg`: the radiance that
-    leaves `start` against `direction`, traced among the objects of the ray set `among`; `edges`: those of
-    the path from the camera to `start`. `lights_at(numbers, edges)`: directions drawn from the
-    environment at a vertex; `light_direction(environment, surface, basis, wo, ng, drawn, key, index, number,
-    count, dimension)`: one of them (`scene.light_candidates`), `drawn` being the numbers of the vertex.
-    `light_weight(count, light_pdf, scatter_pdf)`: its weight;
-    `scatter_weight(scatter_pdf, count, light_pdf)`: of the scattered direction. `survival(throughput,
-    edges, numbers)`: how probably the path goes on. `sample_light`: directions are drawn from the
-    environment at all.
+    leaves `start` against `direction`, but for what `start` emits itself, traced among the objects of the ray
+    set `among`; `edges`: those of the path from the camera to `start`. `emission(scene, point)`: what a
+    surface emits. `lights_at(numbers, edges)`: directions drawn from the environment at a vertex, and as many
+    to lamps; the directions themselves: `arrivals` (`scene.light_arrival`). `scatter_weight(scatter_pdf,
+    count, light_pdf)`: weight of a scattered direction that meets the sky; `met_weight(scene, x, met,
+    real_only, scatter_pdf, count)`: of one from `x` that meets the surface `met`, for what that emits.
+    `survival(throughput, edges, numbers)`: how probably the path goes on.
     """
 
     path: Any
+    emission: Any
     lights_at: Any
-    light_direction: Any
-    light_weight: Any
+    arrivals: ArrivalFuncs
     scatter_weight: Any
+    met_weight: Any
     survival: Any
-    sample_light: bool
 
 
 def make_paths(flags: PathFlags) -> PathFuncs:
@@ -153,8 +145,11 @@ def make_paths(flags: PathFlags) -> PathFuncs:
     ray_start = make_ray_start(flags.ray_start)
     see_through = make_see_through(flags.shading, trace, ray_start, sample_1d)
     stop_at, transmittance = see_through.stop, see_through.transmittance
+    follow = make_follow(trace, ray_start, see_through)
     sample_light = flags.strategy in ("mis", "environment")
     weigh = flags.strategy == "mis"
+    lamps = flags.lamps != "none"
+    lamp_over_pdf, lamp_scattered = make_lamp_weights(flags.lamps)
 
     @wp.func
     def light_weight(count: int, light_pdf: float, scatter_pdf: float) -> float:
@@ -196,51 +191,37 @@ def make_paths(flags: PathFlags) -> PathFuncs:
         sample_1d=sample_1d,
         transmission=flags.shading.transmission,
     )
+    arrivals = make_arrivals(
+        sky=sample_light,
+        lamps=lamps,
+        light_direction=light_direction,
+        light_weight=light_weight,
+        lamp_over_pdf=lamp_over_pdf,
+        env_radiance=env_radiance,
+        emission_at=emission_at,
+        evaluate=bsdf_evaluate,
+        scatter_pdf=bsdf_pdf,
+        sample_2d_bits=sample_2d_bits,
+        ray_start=ray_start,
+        transmission=flags.shading.transmission,
+        cutouts=flags.shading.cutouts,
+    )
+    draws, arrival = arrivals.draws, arrivals.arrival
+    arrival_weight, arrival_radiance = arrivals.weight, arrivals.radiance
+
+    @wp.func
+    def met_weight(
+        scene: SceneData, x: wp.vec3, met: SurfacePoint, real_only: bool, scatter_pdf: float, count: int
+    ) -> float:
+        if wp.static(lamps):
+            return lamp_scattered(scatter_pdf, count, lamp_pdf(scene, x, met, real_only))
+        return 1.0
 
     @wp.func
     def survival(throughput: wp.vec3, edges: int, numbers: PathNumbers) -> float:
         if edges < numbers.roulette_from:
             return 1.0
         return wp.clamp(max_component(throughput), ROULETTE_LEAST, ROULETTE_MOST)
-
-    @wp.func
-    def follow(
-        scene: SceneData,
-        among: RaySet,
-        first: Hit,
-        direction: wp.vec3,
-        media: Media,
-        key: wp.uint64,
-        index: int,
-        edges: int,
-    ) -> Onward:
-        """On from a ray's first hit, through boundaries at which the medium stays the same."""
-        onward = Onward()
-        onward.hit = first
-        onward.media = media
-        onward.passed = wp.vec3(1.0, 1.0, 1.0)
-        medium = medium_of(scene, media)
-        for number_of in range(wp.static(MOST_UNSEEN)):
-            if onward.hit.triangle < 0:
-                break
-            onward.passed = wp.cw_mul(onward.passed, passed(scene, medium, onward.hit.t))
-            number = scene.triangles[onward.hit.triangle].object
-            if scene.objects[number].kind != DIELECTRIC:
-                break
-            point = surface_point(scene, onward.hit.triangle, onward.hit.u, onward.hit.v, direction)
-            beyond = crossed(onward.media, number, enters(scene, point))
-            if medium_of(scene, beyond) != medium:
-                break
-            onward.media = beyond
-            onward.rays += 1
-            onward.hit = trace(among, ray_start(scene, point, direction), direction, FAR)
-            if wp.static(see_through.on):
-                dimension = DIM_STOP + STOPS * edges + 1 + number_of
-                stop = stop_at(scene, among, onward.hit, direction, key, index, dimension)
-                onward.hit = stop.hit
-                onward.rays += stop.rays
-                onward.passed = wp.cw_mul(onward.passed, stop.share)
-        return onward
 
     @wp.func
     def path(
@@ -254,7 +235,7 @@ def make_paths(flags: PathFlags) -> PathFuncs:
         key: wp.uint64,
         index: int,
     ) -> Leg:
-        """Radiance that leaves `start` against `direction`, traced among the objects of one ray set.
+        """Radiance that `start` sends on against `direction`, traced among the objects of one ray set.
 
         `edges_so_far`: edges of the path from the camera to `start`.
         """
@@ -265,8 +246,8 @@ def make_paths(flags: PathFlags) -> PathFuncs:
         edges = int(edges_so_far)
         scene_set = among
         media = Media()
-        if wp.static(flags.shading.emission):
-            leg.radiance = emission_at(scene, start)
+        # A set without virtual objects: only real lamps are there.
+        real_only = bool(False)
         while edges < numbers.max_edges:
             leg.vertices += 1
             dimension = DIM_VERTEX * edges
@@ -274,6 +255,8 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                 # Light that reaches such a point has not met virtual objects, nor will it before the sky.
                 if (point.flags & RECEIVE) == 0:
                     scene_set = scene.real_set
+            if wp.static(lamps):
+                real_only = scene_set.scene == scene.real_set.scene
             surface = surface_at(scene, photo, point)
             if wp.static(flags.shading.normal_maps):
                 point.ns = normal_at(scene, point, -d)
@@ -294,48 +277,45 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             numbers_here = sample_vertex(key, index, dimension)
             # Before the light's ray, so that a processor works on both directions at once.
             drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
-            if wp.static(sample_light):
-                for number in range(lights):
-                    light = light_direction(
-                        scene.environment,
-                        surface,
-                        basis,
-                        wo,
-                        point.ng,
-                        numbers_here,
-                        key,
-                        index,
-                        number,
-                        lights,
-                        dimension,
-                    )
-                    side = wp.dot(point.ng, light.direction)
-                    if wp.static(flags.shading.transmission):
-                        side *= wp.dot(point.ns, light.direction)
-                    if light.pdf > 0.0 and side > 0.0:
-                        wi = to_local(basis, light.direction)
-                        value = bsdf_evaluate(surface, wo, wi)
-                        if max_component(value) > 0.0:
-                            leg.shadow_rays += 1
-                            o = ray_start(scene, point, light.direction)
-                            if wp.static(see_through.on):
-                                through = transmittance(scene, scene_set, o, light.direction, FAR)
-                                leg.shadow_rays += through.rays - 1
-                                value = wp.cw_mul(value, through.share)
-                                open = max_component(through.share) > 0.0
-                            else:
-                                open = not occluded(scene_set, o, light.direction, FAR)
-                            if open:
-                                leg.lookups += 1
-                                w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
-                                w *= light.share
-                                leg.radiance += (
-                                    wp.cw_mul(
-                                        wp.cw_mul(throughput, value),
-                                        env_radiance(scene.environment, light.direction),
-                                    )
-                                    * w
-                                )
+            for number in range(draws(lights)):
+                light = arrival(
+                    scene,
+                    surface,
+                    basis,
+                    wo,
+                    point,
+                    real_only,
+                    numbers_here,
+                    key,
+                    index,
+                    number,
+                    lights,
+                    dimension,
+                )
+                if max_component(light.value) > 0.0:
+                    leg.shadow_rays += 1
+                    value = light.value
+                    if wp.static(see_through.on):
+                        through = transmittance(scene, scene_set, light.start, light.ray, light.far)
+                        leg.shadow_rays += through.rays - 1
+                        value = wp.cw_mul(value, through.share)
+                        open = max_component(through.share) > 0.0
+                    else:
+                        open = not occluded(scene_set, light.start, light.ray, light.far)
+                    if open:
+                        if light.sender == SKY:
+                            leg.lookups += 1
+                        if wp.static(lamps and flags.shading.transmission):
+                            if light.sender != SKY:
+                                around = media
+                                if light.wi[2] < 0.0:
+                                    around = beyond
+                                left = passed(scene, medium_of(scene, around), light.distance)
+                                value = wp.cw_mul(value, left)
+                        w = arrival_weight(surface, wo, light, lights)
+                        leg.radiance += (
+                            wp.cw_mul(wp.cw_mul(throughput, value), arrival_radiance(scene, light)) * w
+                        )
             if max_component(drawn.weight) <= 0.0:
                 break
             d = to_world(basis, drawn.wi)
@@ -369,9 +349,15 @@ def make_paths(flags: PathFlags) -> PathFuncs:
                 break
             edges += 1
             if wp.static(flags.shading.emission):
-                # Emitters are met by scattered rays alone, so nothing has to be weighed.
                 met = surface_point(scene, hit.triangle, hit.u, hit.v, d)
-                leg.radiance += wp.cw_mul(throughput, emission_at(scene, met))
+                sent = emission_at(scene, met)
+                if max_component(sent) > 0.0:
+                    w = met_weight(scene, point.p, met, real_only, drawn.pdf, lights)
+                    if wp.static(lamps and flags.shading.transmission):
+                        if onward.rays > 0:
+                            # A ray to the lamp would have ended at the boundaries that this one passed.
+                            w = 1.0
+                    leg.radiance += wp.cw_mul(throughput, sent) * w
             q = survival(throughput, edges, numbers)
             if q < 1.0:
                 if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
@@ -380,4 +366,4 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             point = surface_point(scene, hit.triangle, hit.u, hit.v, d)
         return leg
 
-    return PathFuncs(path, lights_at, light_direction, light_weight, scatter_weight, survival, sample_light)
+    return PathFuncs(path, emission_at, lights_at, arrivals, scatter_weight, met_weight, survival)

@@ -18,7 +18,9 @@ class SamplingSettings(Settings):
     name: str
     spp: Samples = Field(64, description="Samples a pixel, both halves together, an even number from 2")
     strategy: Literal["mis", "environment", "bsdf"] = Field(
-        "mis", description="How light from the map is sampled: both ways weighted, or one of them alone"
+        "mis",
+        description="How light from the map and from lamps is sampled: both ways weighted, or one of them "
+        "alone, directions to light (`environment`) or scattered ones (`bsdf`)",
     )
     sampler: Literal["owen", "independent", "cranley-patterson"] = Field(
         "owen",
@@ -59,7 +61,9 @@ class PathSettings(SamplingSettings):
         5, description="Path length in edges from which roulette may end a path, 2..1024"
     )
     light_samples: Annotated[int, Field(ge=1, le=64)] = Field(
-        1, description="Directions drawn from the map where the camera's ray ends, for each sample, 1..64"
+        1,
+        description="Directions drawn from the map where the camera's ray ends, and as many to lamps, for "
+        "each sample, 1..64",
     )
     light_candidates: Annotated[int, Field(ge=1, le=32)] = Field(
         1,

@@ -14,6 +14,7 @@ from mrbatch.errors import InputError
 from mrbatch.kernels.bsdf import KINDS
 from mrbatch.kernels.environment import EnvironmentData
 from mrbatch.kernels.texture import TextureAtlas, build_texture_atlas
+from mrbatch.scene.lamp_table import LampData, emits, lamp_table
 from mrbatch.scene.mesh import Mesh
 from mrbatch.scene.scene import MAX_TRIANGLES, Scene
 
@@ -28,7 +29,8 @@ SEE_THROUGH = wp.constant(wp.int32(32))
 @wp.struct
 class TriangleData:
     """What every hit asks for, in one line of the cache: first corner `a`, edges to the others, unit normal
-    `ng`; `object` number, `flags` of the object."""
+    `ng`; `object` number, `flags` of the object; `lamp`: density over area with which light is looked for
+    there (`scene.lamp_table`), 1/m^2."""
 
     a: wp.vec3
     e1: wp.vec3
@@ -36,7 +38,8 @@ class TriangleData:
     ng: wp.vec3
     object: wp.int32
     flags: wp.int32
-    _unused: wp.vec2
+    lamp: wp.float32
+    _unused: wp.float32
 
 
 @wp.struct
@@ -71,8 +74,8 @@ class SceneData:
     """Geometry, materials and light. Positions are metres relative to the scene's origin.
 
     Ray sets: `camera_set` is what the camera sees (real and virtual), `photo_set` its real part;
-    `all_set` what surfaces see, `real_set` and `virtual_set` its two parts. `corners`: each triangle's
-    places in `normals` and `uvs`. `origin`: in the world.
+    `all_set` what surfaces see, `real_set` and `virtual_set` its two parts; `lamp_set` what of it emits
+    light. `corners`: each triangle's places in `normals` and `uvs`. `origin`: in the world.
     """
 
     origin: wp.vec3
@@ -81,6 +84,7 @@ class SceneData:
     all_set: RaySet
     real_set: RaySet
     virtual_set: RaySet
+    lamp_set: RaySet
     triangles: wp.array(dtype=TriangleData)
     corners: wp.array(dtype=wp.vec3i)
     normals: wp.array(dtype=wp.vec3)
@@ -88,6 +92,7 @@ class SceneData:
     objects: wp.array(dtype=ObjectData)
     textures: TextureAtlas
     environment: EnvironmentData
+    lamps: LampData
 
 
 @wp.struct
@@ -283,6 +288,7 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu", *, shared: Any = N
     data.uvs = wp.array(joined(uvs, 2, np.float32), dtype=wp.vec2, device=device)
     data.corners = wp.array(joined(corners, 3, np.int32), dtype=wp.vec3i, device=device)
     records = np.concatenate(triangles) if triangles else np.zeros(1, _TRIANGLE)
+    data.lamps = lamp_table(scene.objects, records, [m.first_triangle for m in meshes], device)
     data.triangles = wp.array(records, dtype=TriangleData, device=device)
     data.objects = wp.array(objects or [ObjectData()], dtype=ObjectData, device=device)
     if shared is None:
@@ -306,4 +312,5 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu", *, shared: Any = N
     data.all_set = ray_set([i for i, o in items if o.cast_shadow])
     data.real_set = ray_set([i for i, o in items if o.cast_shadow and not o.virtual])
     data.virtual_set = ray_set([i for i, o in items if o.cast_shadow and o.virtual])
+    data.lamp_set = ray_set([i for i, o in items if emits(o)])
     return DeviceScene(data, scene, engine, tuple(built.values()) + (meshes,), device)

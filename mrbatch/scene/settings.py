@@ -304,6 +304,12 @@ class RealObject(Object):
     material: Material | None = Field(
         None, description="How a surface reflects that is not matt; in place of `reflectance`"
     )
+    emission: Colour | None = Field(
+        None,
+        description="Radiance of a real lamp, linear Rec.709, in the map's units, 0 or more: grey or "
+        "[r, g, b]. Its light is in the photo; virtual objects are lit by it and stand in its way. Leave out "
+        "what the map shows already",
+    )
     holdout: bool = Field(
         False,
         description="Whether the photo stays untouched on it; it hides virtual objects, and others see it "
@@ -318,6 +324,8 @@ class RealObject(Object):
             raise ValueError("a real surface is opaque: its material is diffuse, conductor or principled")
         if self.depth_map is not None and self.transform != Transform():
             raise ValueError("`depth_map` stands where its camera saw it: leave out `transform`")
+        if self.reflectance == "photo" and self.emission is not None:
+            raise ValueError("the photo does not show what a lamp reflects: give its `reflectance`")
         return self
 
 

@@ -73,6 +73,18 @@ SCENES = {
             Material("principled", (0.8, 0.5, 0.2), 0.04, metalness=1.0, f0=0.04),
         ),
     ],
+    # Theirs emit outward only, so lamps are closed.
+    "lamp over metal and matt things": [
+        thing(*FLOOR, GREY),
+        thing("lamp", ball(0.1, (-0.5, 0.5, 0.9)), replace(GREY, emission=(60.0, 40.0, 20.0))),
+        thing("metal", ball(0.3, (-0.4, -0.4, 0.3)), Material("conductor", (0.9, 0.6, 0.3), 0.25)),
+        thing("box", box((0.3, 0.3, 0.6), centre=(0.4, 0.3, 0.3)), Material(reflectance=(0.8, 0.2, 0.1))),
+    ],
+    "lamp that lies on the floor, and rough glass": [
+        thing(*FLOOR, GREY),
+        thing("lamp", box((0.6, 0.2, 0.2), centre=(0, 0.5, 0.1)), replace(GREY, emission=(3.0, 4.0, 5.0))),
+        thing("glass", ball(0.3, (0, -0.2, 0.35)), replace(GLASS, alpha=0.3)),
+    ],
     "diffuse under a sun": [
         thing(*FLOOR, GREY),
         thing("wall", box((0.1, 2.0, 1.0), centre=(-0.8, 0, 0.5)), Material(reflectance=(0.8, 0.2, 0.1))),
@@ -147,6 +159,9 @@ def mitsuba_scene(mi, folder, objects: Sequence[SceneObject], radiance: np.ndarr
             "face_normals": True,
             "bsdf": bsdf(item.material, around),
         }
+        if any(item.material.emission):
+            sent = {"type": "rgb", "value": list(item.material.emission)}
+            scene[f"object{number}"]["emitter"] = {"type": "area", "radiance": sent}
     return mi.load_dict(scene)
 
 

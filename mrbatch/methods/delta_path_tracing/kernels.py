@@ -20,7 +20,8 @@ geometry is compared with the nearest hit in real geometry:
 Of virtual surfaces that are there in part, the nearest is what a ray stops at (`scene.see_through`).
 
 Light from the sky that virtual objects block on the way, -f cos L_s V_R (1 - V_V), comes by sampling
-the environment and by the same scattered ray, with the balance heuristic. Every leg is cut by
+the environment and by the same scattered ray, with the balance heuristic. So does that of real lamps, and
+the light that virtual lamps add, + f cos L_e V_R V_V: points are drawn on both. Every leg is cut by
 roulette, or at equal path length on both sides, so a cap does not darken.
 """
 
@@ -49,6 +50,7 @@ from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.light_arrival import SKY, VIRTUAL_LAMP, Arrival
 from mrbatch.scene.light_paths import (
     DIM_PIXEL,
     DIM_ROULETTE,
@@ -87,7 +89,7 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     """The kernel for these flags: adds samples of one half to the film, one thread a pixel."""
     trace, occluded = rays(flags.engine).trace, rays(flags.engine).occluded
     bsdf = make_bsdf(flags.bsdf_kinds, masking=flags.masking)  # type: ignore[arg-type]
-    bsdf_evaluate, bsdf_pdf, bsdf_sample = bsdf.evaluate, bsdf.pdf, bsdf.sample
+    bsdf_sample = bsdf.sample
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     camera_ray = camera.ray
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
@@ -100,10 +102,11 @@ def make_kernel(flags: Flags) -> DeltaKernel:
     funcs = make_surface(flags.shading, camera)
     bare_at, reflectance_at, surface_at = funcs.bare, funcs.reflectance, funcs.surface
     paths = make_paths(flags)
-    path, lights_at, light_direction = paths.path, paths.lights_at, paths.light_direction
-    survival = paths.survival
-    light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
-    sample_light = paths.sample_light
+    path, emission, survival = paths.path, paths.emission, paths.survival
+    lights_at, draws, arrival = paths.lights_at, paths.arrivals.draws, paths.arrivals.arrival
+    arrival_weight, arrival_radiance = paths.arrivals.weight, paths.arrivals.radiance
+    scatter_weight, met_weight = paths.scatter_weight, paths.met_weight
+    emitters, lamps = flags.shading.emission, flags.lamps != "none"
     ray_start = make_ray_start(flags.ray_start)
     see_through = make_see_through(flags.shading, trace, ray_start, sample_1d)
     stop_at, transmittance = see_through.stop, see_through.transmittance
@@ -128,6 +131,13 @@ def make_kernel(flags: Flags) -> DeltaKernel:
         if wp.static(flags.real_on_real):
             return scene.all_set
         return scene.virtual_set
+
+    @wp.func
+    def takes_away(light: Arrival) -> bool:
+        # Where real points see nothing real, they see no real lamp either.
+        if wp.static(lamps and flags.real_on_real):
+            return light.sender != VIRTUAL_LAMP
+        return light.sender == SKY
 
     @wp.kernel(enable_backward=False, module="unique")
     def delta_path_tracing(
@@ -195,6 +205,9 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                 plus_direction = primary.direction
                 minus = point
                 fork_throughput = wp.vec3(1.0, 1.0, 1.0)
+                # Of what the points where the legs begin emit: its share found by scattered rays.
+                plus_weight = float(1.0)
+                minus_weight = float(1.0)
                 edges = int(1)
                 if is_virtual and not skip:
                     covered = 1.0
@@ -214,59 +227,82 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                             lights = lights_at(numbers, edges)
                             # Before the light's ray, so that a processor works on both directions at once.
                             drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
-                            if wp.static(sample_light):
-                                for number in range(lights):
-                                    light = light_direction(
-                                        scene.environment,
-                                        surface,
-                                        basis,
-                                        wo,
-                                        point.ng,
-                                        numbers_here,
-                                        key,
-                                        index,
-                                        number,
-                                        lights,
-                                        dimension,
-                                    )
-                                    if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
-                                        wi = to_local(basis, light.direction)
-                                        f = bsdf_evaluate(surface, wo, wi)
-                                        if max_component(f) > 0.0:
-                                            shadow_rays += 1
-                                            o = ray_start(scene, point, light.direction)
-                                            if wp.static(see_through.on):
-                                                through = transmittance(
-                                                    scene, scene.virtual_set, o, light.direction, FAR
-                                                )
-                                                shadow_rays += through.rays - 1
-                                                kept = wp.vec3(1.0, 1.0, 1.0) - through.share
-                                                f = wp.cw_mul(f, kept)
-                                                lost = max_component(kept) > 0.0
-                                            else:
-                                                lost = occluded(scene.virtual_set, o, light.direction, FAR)
-                                            if wp.static(flags.real_on_real):
-                                                if lost:
-                                                    shadow_rays += 1
-                                                    lost = not occluded(
-                                                        scene.real_set, o, light.direction, FAR
+                            for number in range(draws(lights)):
+                                light = arrival(
+                                    scene,
+                                    surface,
+                                    basis,
+                                    wo,
+                                    point,
+                                    False,
+                                    numbers_here,
+                                    key,
+                                    index,
+                                    number,
+                                    lights,
+                                    dimension,
+                                )
+                                if max_component(light.value) > 0.0:
+                                    # Light of the sky and of real lamps is lost where virtual objects, and
+                                    # no real ones, are in its way; a virtual lamp's comes where nothing is.
+                                    f = light.value
+                                    adds = bool(False)
+                                    lost = bool(False)
+                                    if wp.static(lamps):
+                                        if light.sender == VIRTUAL_LAMP:
+                                            if wp.static(flags.virtual_paths):
+                                                shadow_rays += 1
+                                                if wp.static(see_through.on):
+                                                    past = transmittance(
+                                                        scene,
+                                                        reach_of(scene),
+                                                        light.start,
+                                                        light.ray,
+                                                        light.far,
                                                     )
+                                                    shadow_rays += past.rays - 1
+                                                    f = wp.cw_mul(f, past.share)
+                                                    adds = max_component(past.share) > 0.0
+                                                else:
+                                                    adds = not occluded(
+                                                        reach_of(scene), light.start, light.ray, light.far
+                                                    )
+                                    if takes_away(light):
+                                        shadow_rays += 1
+                                        if wp.static(see_through.on):
+                                            through = transmittance(
+                                                scene, scene.virtual_set, light.start, light.ray, light.far
+                                            )
+                                            shadow_rays += through.rays - 1
+                                            kept = wp.vec3(1.0, 1.0, 1.0) - through.share
+                                            f = wp.cw_mul(f, kept)
+                                            lost = max_component(kept) > 0.0
+                                        else:
+                                            lost = occluded(
+                                                scene.virtual_set, light.start, light.ray, light.far
+                                            )
+                                        if wp.static(flags.real_on_real):
                                             if lost:
+                                                shadow_rays += 1
+                                                lost = not occluded(
+                                                    scene.real_set, light.start, light.ray, light.far
+                                                )
+                                    if lost or adds:
+                                        changes = bool(True)
+                                        w = arrival_weight(surface, wo, light, lights)
+                                        f = tinted(scene, frame.photo, point, f)
+                                        light_change = (
+                                            wp.cw_mul(
+                                                wp.cw_mul(throughput, f), arrival_radiance(scene, light)
+                                            )
+                                            * w
+                                        )
+                                        if lost:
+                                            if light.sender == SKY:
                                                 lookups += 1
-                                                changes = bool(True)
-                                                w = (
-                                                    light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi))
-                                                    * light.share
-                                                    / light.pdf
-                                                )
-                                                f = tinted(scene, frame.photo, point, f)
-                                                blocked -= (
-                                                    wp.cw_mul(
-                                                        wp.cw_mul(throughput, f),
-                                                        env_radiance(scene.environment, light.direction),
-                                                    )
-                                                    * w
-                                                )
+                                            blocked -= light_change
+                                        else:
+                                            indirect += light_change
                             if max_component(drawn.weight) <= 0.0:
                                 break
                             d = to_world(basis, drawn.wi)
@@ -328,6 +364,10 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                         plus = surface_point(scene, seen.triangle, seen.u, seen.v, d)
                                         plus_direction = d
                                         legs = 1
+                                        if wp.static(lamps):
+                                            plus_weight = met_weight(
+                                                scene, point.p, plus, False, drawn.pdf, lights
+                                            )
                                 if wp.static(flags.real_on_real):
                                     if behind_triangle >= 0:
                                         minus = surface_point(scene, behind_triangle, behind_u, behind_v, d)
@@ -335,6 +375,10 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                                         legs = 2
                                         # Nothing comes from a virtual point that returns no light.
                                         first_leg = wp.where(wp.static(flags.virtual_paths), 0, 1)
+                                        if wp.static(lamps):
+                                            minus_weight = met_weight(
+                                                scene, point.p, minus, False, drawn.pdf, lights
+                                            )
                                 break
                             if wp.static(flags.real_on_real):
                                 point = surface_point(scene, behind_triangle, behind_u, behind_v, d)
@@ -360,6 +404,9 @@ def make_kernel(flags: Flags) -> DeltaKernel:
                     scatter_rays += leg.scatter_rays
                     lookups += leg.lookups
                     vertices += leg.vertices
+                    if wp.static(emitters):
+                        emitted_weight = wp.where(side == 1, minus_weight, plus_weight)
+                        leg.radiance += emission(scene, origin) * emitted_weight
                     gathered = wp.cw_mul(fork_throughput, leg.radiance)
                     if wp.static(panes):
                         if side == 0:

@@ -1,7 +1,8 @@
-"""The kernel of image-based lighting: one scattering on virtual objects, light from the map alone.
+"""The kernel of image-based lighting: one scattering of light from map and lamps on virtual objects.
 
 Debevec, *Rendering Synthetic Objects into Real Scenes* (1998), without its differential part: the
-baseline against which every method that changes the real scene is compared.
+baseline against which every method that changes the real scene is compared. Without `occlusion` lamps alone
+stand in the way of lamps.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 
 import warp as wp
 
-from mrbatch.device.rays import FAR, Engine, rays
+from mrbatch.device.rays import FAR, Engine, RaySet, rays
 from mrbatch.film.accumulator import FilmData, film_add, film_load, film_pixel, film_store
 from mrbatch.kernels.bsdf import make_bsdf
 from mrbatch.kernels.camera import DIM_LENS, make_camera, through_lens
@@ -27,10 +28,12 @@ from mrbatch.kernels.numerics import (
 from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.lamps import lamp_pdf, lamp_ray, make_lamp_weights
+from mrbatch.scene.light_arrival import DIM_LAMP
 from mrbatch.scene.media import enters
 from mrbatch.scene.ray_start import make_ray_start
 from mrbatch.scene.scene_data import HOLDOUT, VIRTUAL, SceneData, surface_point
-from mrbatch.scene.see_through import DIM_STOP, make_see_through
+from mrbatch.scene.see_through import DIM_STOP, STOPS, make_see_through
 from mrbatch.scene.shading import ShadingFlags, make_surface
 
 DIM_PIXEL = wp.constant(wp.int32(0))
@@ -52,6 +55,7 @@ class Flags:
     light_sampler: str = "median-cut"
     pixel_filter: str = "box"
     strategy: str = "mis"
+    lamps: str = "none"
     shading: ShadingFlags = ShadingFlags()
     occlusion: bool = False
     lens: bool = False
@@ -69,6 +73,7 @@ def make_kernel(flags: Flags) -> Any:
     env_radiance, env_pdf, env_sample = environment.radiance, environment.pdf, environment.sample
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_start, sample_2d = sampler.sample_start, sampler.sample_2d
+    sample_2d_bits = sampler.sample_2d_bits
     ray_start = make_ray_start(flags.ray_start)
     see_through = make_see_through(flags.shading, trace, ray_start, sampler.sample_1d)
     stop_at, transmittance = see_through.stop, see_through.transmittance
@@ -78,6 +83,14 @@ def make_kernel(flags: Flags) -> Any:
     sample_light = flags.strategy in ("mis", "environment")
     sample_scatter = flags.strategy in ("mis", "bsdf")
     weigh = flags.strategy == "mis"
+    emitters, lamps = flags.shading.emission, flags.lamps != "none"
+    lamp_over_pdf, lamp_scattered = make_lamp_weights(flags.lamps)
+
+    @wp.func
+    def lit_by(scene: SceneData) -> RaySet:
+        if wp.static(flags.occlusion):
+            return scene.all_set
+        return scene.lamp_set
 
     @wp.kernel(enable_backward=False, module="unique")
     def image_based_lighting(
@@ -158,7 +171,25 @@ def make_kernel(flags: Flags) -> Any:
                                 if wp.static(weigh):
                                     w *= balance_heuristic(light.pdf, bsdf_pdf(surface, wo, wi))
                                 value += wp.cw_mul(f, env_radiance(scene.environment, light.direction)) * w
-                    if wp.static(sample_scatter):
+                    if wp.static(lamps):
+                        bits = sample_2d_bits(key, index, DIM_VERTEX + DIM_LAMP)
+                        lamp = lamp_ray(scene, point, bits, False)
+                        if lamp.pdf > 0.0 and wp.dot(point.ng, lamp.direction) > 0.0:
+                            wi = to_local(basis, lamp.direction)
+                            f = wp.cw_mul(bsdf_evaluate(surface, wo, wi), emission_at(scene, lamp.point))
+                            if max_component(f) > 0.0:
+                                shadow_rays += 1
+                                o = ray_start(scene, point, lamp.direction)
+                                if wp.static(see_through.on):
+                                    between = transmittance(scene, lit_by(scene), o, lamp.end - o, 1.0)
+                                    shadow_rays += between.rays - 1
+                                    f = wp.cw_mul(f, between.share)
+                                    clear = max_component(between.share) > 0.0
+                                else:
+                                    clear = not occluded(lit_by(scene), o, lamp.end - o, 1.0)
+                                if clear:
+                                    value += f * lamp_over_pdf(1, lamp.pdf, bsdf_pdf(surface, wo, wi))
+                    if wp.static(sample_scatter or emitters):
                         drawn = bsdf_sample(surface, wo, unit_pair(start.vertex.scatter))
                         d = to_world(basis, drawn.wi)
                         lit = max_component(drawn.weight) > 0.0 and wp.dot(point.ng, d) * drawn.wi[2] > 0.0
@@ -166,7 +197,28 @@ def make_kernel(flags: Flags) -> Any:
                             if drawn.wi[2] < 0.0:
                                 # The map as it is seen through one boundary: what light leaves by is unknown.
                                 drawn.weight = drawn.weight * surface.eta * surface.eta
-                        if wp.static(flags.occlusion):
+                        if wp.static(emitters):
+                            if lit and drawn.wi[2] > 0.0:
+                                shadow_rays += 1
+                                seen = trace(lit_by(scene), ray_start(scene, point, d), d, FAR)
+                                sent_on = drawn.weight
+                                if wp.static(see_through.on):
+                                    place = DIM_STOP + STOPS
+                                    end = stop_at(scene, lit_by(scene), seen, d, key, index, place)
+                                    seen = end.hit
+                                    shadow_rays += end.rays
+                                    sent_on = wp.cw_mul(sent_on, end.share)
+                                    if wp.static(flags.occlusion):
+                                        drawn.weight = sent_on
+                                if seen.triangle >= 0:
+                                    met = surface_point(scene, seen.triangle, seen.u, seen.v, d)
+                                    sent = emission_at(scene, met)
+                                    if max_component(sent) > 0.0:
+                                        w = lamp_scattered(drawn.pdf, 1, lamp_pdf(scene, point.p, met, False))
+                                        value += wp.cw_mul(sent_on, sent) * w
+                                    if wp.static(flags.occlusion):
+                                        lit = False
+                        elif wp.static(flags.occlusion):
                             if lit and drawn.wi[2] > 0.0:
                                 shadow_rays += 1
                                 o = ray_start(scene, point, d)
@@ -177,12 +229,13 @@ def make_kernel(flags: Flags) -> Any:
                                     lit = max_component(past.share) > 0.0
                                 else:
                                     lit = not occluded(scene.all_set, o, d, FAR)
-                        if lit:
-                            lookups += 1
-                            w = 1.0
-                            if wp.static(weigh):
-                                w = balance_heuristic(drawn.pdf, env_pdf(scene.environment, d))
-                            value += wp.cw_mul(drawn.weight, env_radiance(scene.environment, d)) * w
+                        if wp.static(sample_scatter):
+                            if lit:
+                                lookups += 1
+                                w = 1.0
+                                if wp.static(weigh):
+                                    w = balance_heuristic(drawn.pdf, env_pdf(scene.environment, d))
+                                value += wp.cw_mul(drawn.weight, env_radiance(scene.environment, d)) * w
             if wp.static(flags.shading.panes):
                 value = wp.cw_mul(value, met.share)
                 if covered == 0.0:

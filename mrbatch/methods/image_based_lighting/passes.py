@@ -15,6 +15,8 @@ from mrbatch.film.pixel_pass import pixel_pass
 from mrbatch.methods.image_based_lighting.kernels import Flags, make_kernel
 from mrbatch.methods.image_based_lighting.settings import ImageBasedLightingSettings
 from mrbatch.scene.counters import COUNTERS
+from mrbatch.scene.lamp_table import is_lamp
+from mrbatch.scene.lamps import lamp_strategy
 from mrbatch.scene.scene_data import DeviceScene
 from mrbatch.scene.shading import ShadingFlags
 
@@ -39,6 +41,9 @@ def make_flags(
         light_sampler=scene.light_sampler(settings.light_sampler),
         pixel_filter=settings.pixel_filter,
         strategy=settings.strategy,
+        lamps=lamp_strategy(
+            settings.strategy, plan.on("emission") and any(map(is_lamp, scene.scene.objects))
+        ),
         shading=ShadingFlags(
             textures=plan.on("textures"),
             principled="principled" in kinds,

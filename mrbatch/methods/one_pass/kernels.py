@@ -30,6 +30,7 @@ from mrbatch.kernels.rng import make_sampler, pixel_key, unit_pair
 from mrbatch.kernels.sampling import make_pixel_filter
 from mrbatch.scene.counters import CAMERA_RAYS, LOOKUPS, SCATTER_RAYS, SHADOW_RAYS, VERTICES
 from mrbatch.scene.frame_params import FrameParams
+from mrbatch.scene.light_arrival import SKY, VIRTUAL_LAMP
 from mrbatch.scene.light_paths import (
     DIM_PIXEL,
     DIM_ROULETTE,
@@ -49,7 +50,7 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     """The kernel for these flags: adds samples of one half to the film, one thread a pixel."""
     trace, occluded = rays(flags.engine).trace, rays(flags.engine).occluded
     bsdf = make_bsdf(flags.bsdf_kinds, masking=flags.masking)  # type: ignore[arg-type]
-    bsdf_evaluate, bsdf_pdf, bsdf_sample = bsdf.evaluate, bsdf.pdf, bsdf.sample
+    bsdf_sample = bsdf.sample
     camera = make_camera(flags.camera_model, flags.distortion)  # type: ignore[arg-type]
     camera_ray = camera.ray
     environment = make_environment(flags.interpolation, flags.light_sampler)  # type: ignore[arg-type]
@@ -61,10 +62,11 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     surfaces = make_surface(flags.shading, camera)
     surface_at, normal_at = surfaces.surface, surfaces.normal
     paths = make_paths(flags)
-    path, lights_at, light_direction = paths.path, paths.lights_at, paths.light_direction
-    survival = paths.survival
-    light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
-    sample_light = paths.sample_light
+    path, emission, survival = paths.path, paths.emission, paths.survival
+    lights_at, draws, arrival = paths.lights_at, paths.arrivals.draws, paths.arrivals.arrival
+    arrival_weight, arrival_radiance = paths.arrivals.weight, paths.arrivals.radiance
+    scatter_weight, met_weight = paths.scatter_weight, paths.met_weight
+    emitters, lamps = flags.shading.emission, flags.lamps != "none"
     ray_start = make_ray_start(flags.ray_start)
     see_through = make_see_through(flags.shading, trace, ray_start, sample_1d)
     stop_at, transmittance = see_through.stop, see_through.transmittance
@@ -96,6 +98,10 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             # Of what glass lets through, on the way to where the paths part.
             mixed_share = wp.vec3(1.0, 1.0, 1.0)
         real_start = start
+        # Of what the points there emit: its share found by scattered rays.
+        mixed_weight = float(1.0)
+        real_weight = float(1.0)
+        real_only = bool(False)
         while edges < numbers.max_edges:
             leg.vertices += 1
             dimension = DIM_VERTEX * edges
@@ -103,6 +109,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                 # Light that reaches such a point has not met virtual objects, nor will it before the sky.
                 if (point.flags & RECEIVE) == 0:
                     mixed_set = scene.real_set
+            if wp.static(lamps):
+                real_only = mixed_set.scene == scene.real_set.scene
             surface = surface_at(scene, photo, point)
             if wp.static(flags.shading.normal_maps):
                 point.ns = normal_at(scene, point, -d)
@@ -111,54 +119,50 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             lights = lights_at(numbers, edges)
             numbers_here = sample_vertex(key, index, dimension)
             drawn = bsdf_sample(surface, wo, unit_pair(numbers_here.scatter))
-            if wp.static(sample_light):
-                for number in range(lights):
-                    light = light_direction(
-                        scene.environment,
-                        surface,
-                        basis,
-                        wo,
-                        point.ng,
-                        numbers_here,
-                        key,
-                        index,
-                        number,
-                        lights,
-                        dimension,
-                    )
-                    if light.pdf > 0.0 and wp.dot(point.ng, light.direction) > 0.0:
-                        wi = to_local(basis, light.direction)
-                        f = bsdf_evaluate(surface, wo, wi)
-                        if max_component(f) > 0.0:
-                            o = ray_start(scene, point, light.direction)
-                            leg.shadow_rays += 1
+            for number in range(draws(lights)):
+                light = arrival(
+                    scene,
+                    surface,
+                    basis,
+                    wo,
+                    point,
+                    real_only,
+                    numbers_here,
+                    key,
+                    index,
+                    number,
+                    lights,
+                    dimension,
+                )
+                if max_component(light.value) > 0.0:
+                    leg.shadow_rays += 1
+                    if wp.static(see_through.on):
+                        through = transmittance(scene, mixed_set, light.start, light.ray, light.far)
+                        leg.shadow_rays += through.rays - 1
+                        mixed_open = max_component(through.share) > 0.0
+                    else:
+                        mixed_open = not occluded(mixed_set, light.start, light.ray, light.far)
+                    # What is open among all objects is open among real ones.
+                    real_open = mixed_open
+                    if wp.static(lamps):
+                        # Among real ones there is no virtual lamp.
+                        real_open = real_open and light.sender != VIRTUAL_LAMP
+                    if not mixed_open and light.sender != VIRTUAL_LAMP:
+                        leg.shadow_rays += 1
+                        real_open = not occluded(scene.real_set, light.start, light.ray, light.far)
+                    if real_open or mixed_open:
+                        if light.sender == SKY:
+                            leg.lookups += 1
+                        w = arrival_weight(surface, wo, light, lights)
+                        arriving = (
+                            wp.cw_mul(wp.cw_mul(throughput, light.value), arrival_radiance(scene, light)) * w
+                        )
+                        if real_open:
+                            real += arriving
+                        if mixed_open:
                             if wp.static(see_through.on):
-                                through = transmittance(scene, mixed_set, o, light.direction, FAR)
-                                leg.shadow_rays += through.rays - 1
-                                mixed_open = max_component(through.share) > 0.0
-                            else:
-                                mixed_open = not occluded(mixed_set, o, light.direction, FAR)
-                            # What is open among all objects is open among real ones.
-                            real_open = mixed_open
-                            if not mixed_open:
-                                leg.shadow_rays += 1
-                                real_open = not occluded(scene.real_set, o, light.direction, FAR)
-                            if real_open:
-                                leg.lookups += 1
-                                w = light_weight(lights, light.pdf, bsdf_pdf(surface, wo, wi)) / light.pdf
-                                w *= light.share
-                                arriving = (
-                                    wp.cw_mul(
-                                        wp.cw_mul(throughput, f),
-                                        env_radiance(scene.environment, light.direction),
-                                    )
-                                    * w
-                                )
-                                real += arriving
-                                if mixed_open:
-                                    if wp.static(see_through.on):
-                                        arriving = wp.cw_mul(arriving, through.share)
-                                    mixed += arriving
+                                arriving = wp.cw_mul(arriving, through.share)
+                            mixed += arriving
             if max_component(drawn.weight) <= 0.0:
                 break
             d = to_world(basis, drawn.wi)
@@ -201,10 +205,15 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             if forks:
                 legs = 1
                 mixed_start = surface_point(scene, seen.triangle, seen.u, seen.v, d)
+                if wp.static(lamps):
+                    mixed_weight = met_weight(scene, point.p, mixed_start, real_only, drawn.pdf, lights)
                 if behind.triangle >= 0:
                     legs = 2
                     real_start = surface_point(scene, behind.triangle, behind.u, behind.v, d)
+                    if wp.static(lamps):
+                        real_weight = met_weight(scene, point.p, real_start, real_only, drawn.pdf, lights)
                 break
+            # What the point emits reaches both paths, and is no change.
             q = survival(throughput, edges, numbers)
             if q < 1.0:
                 if sample_1d(key, index, dimension + DIM_ROULETTE) >= q:
@@ -222,6 +231,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
             leg.scatter_rays += rest.scatter_rays
             leg.lookups += rest.lookups
             leg.vertices += rest.vertices
+            if wp.static(emitters):
+                rest.radiance += emission(scene, begin) * wp.where(side == 1, real_weight, mixed_weight)
             gathered = wp.cw_mul(throughput, rest.radiance)
             if side == 0:
                 if wp.static(panes):
@@ -291,6 +302,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                     leg = path(
                         scene, frame.photo, numbers, scene.all_set, point, primary.direction, 1, key, index
                     )
+                    if wp.static(emitters):
+                        leg.radiance += emission(scene, point)
                     value = leg.radiance
                 if wp.static(flags.light_change):
                     if counts and not is_virtual:

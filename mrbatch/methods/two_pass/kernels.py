@@ -43,7 +43,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
     sampler = make_sampler(flags.sampler)  # type: ignore[arg-type]
     sample_start, sample_2d = sampler.sample_start, sampler.sample_2d
     pixel_filter = make_pixel_filter(flags.pixel_filter)  # type: ignore[arg-type]
-    path = make_paths(flags).path
+    paths = make_paths(flags)
+    path, emission = paths.path, paths.emission
     see_through = make_see_through(flags.shading, trace, make_ray_start(flags.ray_start), sampler.sample_1d)
     stop_at = see_through.stop
     panes = flags.shading.panes
@@ -117,6 +118,8 @@ def make_kernel(flags: CameraPathFlags) -> Any:
                         leg = path(
                             scene, frame.photo, numbers, among, point, primary.direction, 1, key, index
                         )
+                        if wp.static(flags.shading.emission):
+                            leg.radiance += emission(scene, point)
                         shadow_rays += leg.shadow_rays
                         scatter_rays += leg.scatter_rays
                         lookups += leg.lookups
