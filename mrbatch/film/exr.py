@@ -28,6 +28,7 @@ from mrbatch.film.window import Window
 from mrbatch.kernels.transfer import PRIMARIES, from_linear, to_linear
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.file_kind import unreadable
+from mrbatch.scene.picture_library import library_error
 
 ColourType = Literal["half", "float"]
 HALF_MAX = 65504.0
@@ -124,15 +125,15 @@ def write_frame(path: Path, image: FrameImage, *, overflow: Literal["error", "cl
     if out is None:
         raise ResourceError("this OpenImageIO cannot write EXR", hint="install OpenImageIO from its wheel")
     if not out.open(str(path), tuple(specs) if len(specs) > 1 else specs[0]):
-        raise _cannot_write(path, out.geterror() or "the library gave no reason", image.number)
+        raise _cannot_write(path, library_error(out) or "the library gave no reason", image.number)
     error = ""
     for i, (view, spec) in enumerate(zip(image.views, specs, strict=True)):
         written = (i == 0 or out.open(str(path), spec, "AppendSubimage")) and out.write_image(pixels[view])
         if not written:
-            error = out.geterror() or "the library gave no reason"
+            error = library_error(out) or "the library gave no reason"
             break
     if not out.close() and not error:
-        error = out.geterror() or "the file could not be closed"
+        error = library_error(out) or "the file could not be closed"
     # Closing flushes the last buffer but does not say when that fails; the last rows tell.
     if not error and not _ends_whole(path):
         error = "the file is incomplete after writing"
@@ -148,7 +149,7 @@ def _ends_whole(path: Path) -> bool:
 
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        oiio.geterror()
+        library_error(oiio)
         return False
     try:
         last = source.spec().get_int_attribute("oiio:subimages", 1) - 1
@@ -157,7 +158,7 @@ def _ends_whole(path: Path) -> bool:
         spec = source.spec()
         bottom = spec.y + spec.height
         pixels = source.read_scanlines(last, 0, bottom - 1, bottom, 0, 0, spec.nchannels, "float")
-        return pixels is not None and not source.geterror()
+        return pixels is not None and not library_error(source)
     finally:
         source.close()
 
@@ -344,7 +345,7 @@ def open_parts(path: Path) -> Iterator[tuple[Any, int, Any, dict[str, Any]]]:
     try:
         source = oiio.ImageInput.open(str(path))
         if source is None:
-            oiio.geterror()
+            library_error(oiio)
             raise unreadable(path, "an EXR frame", ("EXR",))
         if source.format_name() != "openexr":
             raise unreadable(path, "an EXR frame", ("EXR",))
@@ -358,7 +359,7 @@ def open_parts(path: Path) -> Iterator[tuple[Any, int, Any, dict[str, Any]]]:
                 {_STANDARD_NAMES.get(a.name, a.name): a.value for a in spec.extra_attribs},
             )
             index += 1
-        source.geterror()  # seeking past the last part leaves a message
+        library_error(source)  # seeking past the last part leaves a message
     except UnicodeDecodeError as error:  # from names, values, and messages that quote them
         raise InputError("the header is broken: it holds text that is no UTF-8", place=place) from error
     finally:
@@ -377,7 +378,7 @@ def _parts(path: Path, max_values: int | None) -> Iterator[tuple[Any, dict[str, 
                     place=Place(file=str(path)),
                 )
             pixels = source.read_image(index, 0, 0, spec.nchannels, "float")
-            if source.geterror() or pixels is None:
+            if library_error(source) or pixels is None:
                 raise unreadable(path, "an EXR frame", ("EXR",))
         yield spec, attributes, pixels
 

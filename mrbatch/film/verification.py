@@ -11,6 +11,7 @@ import numpy as np
 from mrbatch.errors import InputError, Place
 from mrbatch.film.exr import open_parts
 from mrbatch.scene.file_kind import unreadable
+from mrbatch.scene.picture_library import library_error
 
 ROWS = 64
 """Rows that are in memory at a time: a multiple of every compression's block, so each is unpacked once."""
@@ -36,7 +37,7 @@ def verify_frame(
         for first in range(spec.y, spec.y + spec.height, ROWS):
             last = min(first + ROWS, spec.y + spec.height)
             rows = source.read_scanlines(index, 0, first, last, 0, 0, spec.nchannels, "float")
-            if source.geterror() or rows is None:
+            if library_error(source) or rows is None:
                 raise unreadable(path, "an EXR frame", ("EXR",))
             if not np.isfinite(rows).all():
                 raise InputError("a channel holds NaN or infinity", place=place)

@@ -19,6 +19,7 @@ from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import encode, to_linear
 from mrbatch.metrics.noise import LEVELS
 from mrbatch.scene.file_kind import PICTURES, unreadable
+from mrbatch.scene.picture_library import library_error
 
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pfm")
 MAX_VALUES = 1 << 28
@@ -88,7 +89,7 @@ def _read_layers(
         raise InputError("there is no such picture", place=place, hint="check the name and the folder")
     source = oiio.ImageInput.open(os.fspath(path))
     if source is None:
-        oiio.geterror()
+        library_error(oiio)
         raise unreadable(path, "a picture", PICTURES)
     found: dict[str, LinearPicture] = {}
     known: list[str] = []
@@ -103,7 +104,7 @@ def _read_layers(
             for together in _reads(chosen, spec.width * spec.height):
                 found.update(_read_channels(source, part, spec, together, path, max_values))
             part += 1
-        source.geterror()  # seeking past the last part leaves a message
+        library_error(source)  # seeking past the last part leaves a message
     finally:
         source.close()
     return found, known
@@ -135,7 +136,7 @@ def _read_channels(
     wanted = (oiio.UINT8 if integers == 8 else oiio.UINT16) if integers else oiio.FLOAT
     values = source.read_image(part, 0, first, last, wanted)
     if values is None:
-        source.geterror()
+        library_error(source)
         raise unreadable(path, "a picture", PICTURES)
     values = np.asarray(values).reshape(spec.height, spec.width, last - first)
     origin, full = (spec.x - spec.full_x, spec.y - spec.full_y), (spec.full_width, spec.full_height)

@@ -16,6 +16,7 @@ import numpy as np
 from mrbatch.errors import InputError, Place
 from mrbatch.kernels.transfer import rec709_from_primaries
 from mrbatch.scene.file_kind import PICTURES, unreadable
+from mrbatch.scene.picture_library import library_error
 
 MAX_PIXELS = 2**27
 """A picture that claims more is refused before memory is asked for."""
@@ -85,7 +86,7 @@ def _read_stored(
     config.attribute("oiio:RawColor", 1)
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        oiio.geterror()
+        library_error(oiio)
         raise unreadable(path, wanted, kinds, place=place)
     try:
         spec = source.spec()
@@ -152,7 +153,7 @@ def _pixels(
     for first, last in runs:
         part = source.read_image(0, 0, first, last, kind)
         # A decoder that got to the end of a cut file hands out grey with its complaint.
-        if source.geterror() or part is None:
+        if library_error(source) or part is None:
             raise failure()
         parts.append(part.reshape(spec.height, spec.width, last - first))
     values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)

@@ -165,6 +165,7 @@ def shadows(made, view):
     return np.array(sorted((x + 0.5, y + 0.5) for y, x in found))
 
 
+@pytest.mark.case("TRAP-2h")
 def test_shadows_fall_where_the_lamps_place_throws_them(tmp_path):
     view = look_at((0.0, -0.12, 0.8), (-0.05, -0.05, 0.0), width=160, height=160, focal=260.0)
     truth = BALLS + (BALLS - LAMP) * (BALLS[:, 2:] / (LAMP[2] - BALLS[:, 2:]))

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mrbatch.errors import Place, ResourceError
+from mrbatch.scene.picture_library import library_error
 
 HALF_MAX = 65504.0
 HALF_NORMAL = 2.0**-14
@@ -35,12 +36,12 @@ def _ends_whole(path: Path, height: int) -> bool:
 
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        oiio.geterror()
+        library_error(oiio)
         return False
     try:
         channels = source.spec().nchannels
         last = source.read_scanlines(0, 0, height - 1, height, 0, 0, channels, "float")
-        return last is not None and not source.geterror()
+        return last is not None and not library_error(source)
     finally:
         source.close()
 
@@ -76,7 +77,7 @@ def write_map(
         done = out.open(str(temporary), spec) and out.write_image(np.ascontiguousarray(pixels))
         # Closing flushes the last buffer but does not say when that fails; the last row tells.
         if not (out.close() and done and _ends_whole(temporary, height)):
-            reason = (out.geterror() or "the disk gave no reason").strip().splitlines()[0]
+            reason = (library_error(out) or "the disk gave no reason").strip().splitlines()[0]
             raise ResourceError(f"cannot write the map: {reason}", place=Place(file=str(path)))
         os.replace(temporary, path)
     except OSError as error:
