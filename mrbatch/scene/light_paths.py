@@ -111,8 +111,9 @@ class PathFuncs:
     leaves `start` against `direction`, but for what `start` emits itself, traced among the objects of the ray
     set `among`; `edges`: those of the path from the camera to `start`. `emission(scene, point)`: what a
     surface emits. `lights_at(numbers, edges)`: directions drawn from the environment at a vertex, and as many
-    to lamps; the directions themselves: `arrivals` (`scene.light_arrival`). `scatter_weight(scatter_pdf,
-    count, light_pdf)`: weight of a scattered direction that meets the sky; `met_weight(scene, x, met,
+    to lamps; the directions themselves: `arrivals` (`scene.light_arrival`). `light_weight(count, light_pdf,
+    scatter_pdf)`: weight of one of `count` directions drawn from the map; `scatter_weight(scatter_pdf, count,
+    light_pdf)`: of a scattered one that meets the sky; `met_weight(scene, x, met,
     real_only, scatter_pdf, count)`: of one from `x` that meets the surface `met`, for what that emits.
     `survival(throughput, edges, numbers)`: how probably the path goes on.
     """
@@ -121,6 +122,7 @@ class PathFuncs:
     emission: Any
     lights_at: Any
     arrivals: ArrivalFuncs
+    light_weight: Any
     scatter_weight: Any
     met_weight: Any
     survival: Any
@@ -366,4 +368,6 @@ def make_paths(flags: PathFlags) -> PathFuncs:
             point = surface_point(scene, hit.triangle, hit.u, hit.v, d)
         return leg
 
-    return PathFuncs(path, emission_at, lights_at, arrivals, scatter_weight, met_weight, survival)
+    return PathFuncs(
+        path, emission_at, lights_at, arrivals, light_weight, scatter_weight, met_weight, survival
+    )

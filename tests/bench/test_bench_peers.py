@@ -55,6 +55,7 @@ def test_a_catcher_pass_multiplies_the_photo_under_what_is_virtual():
     np.testing.assert_allclose(found[0, :, 0], (0.4, 2 * 0.1 + 0.75 * 0.8), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_peer_that_fails_is_told(tmp_path):
     job = write_job(tmp_path / "job", (0,), dtype=np.float32)
     given = ["peers", str(job), "--peer", "blender", "--python", "/no/such/python"]

@@ -215,6 +215,7 @@ def test_light_between_real_walls_through_a_veil(method):
     agrees(found.delta, found.delta_error, lit[0] - rho / (2 - rho), 1e-3)
 
 
+@pytest.mark.slow
 def test_engines_agree():
     """Embree and Warp's own hierarchy, as nearly as they do without cut-outs."""
     veil = virtual("veil", plane(2, 2, centre=(1.5, 0, 0.7)), 0.7)

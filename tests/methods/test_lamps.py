@@ -122,6 +122,7 @@ def test_noise_of_a_small_bright_lamp_falls_by_more_than_an_order_of_magnitude()
     assert np.all(drawn.delta_error**2 < met.delta_error**2 / 10)
 
 
+@pytest.mark.slow
 @EVERY
 @pytest.mark.parametrize("point", [(0.3, 0.1, 0.0), (0.0, 0.9, 0.0)])
 def test_three_strategies_have_one_mean(name, point):

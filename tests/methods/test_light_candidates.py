@@ -56,6 +56,7 @@ def agree(a, b):
     assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 4.8 * error).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "strategy", "rays"), [("diffuse", "mis", 1), ("glossy", "mis", 2), ("glossy", "environment", 1)]
 )
@@ -66,6 +67,7 @@ def test_mean_is_that_of_one_candidate(kind, strategy, rays):
     agree(plain, several)
 
 
+@pytest.mark.slow
 def test_a_baseline_resamples_too():
     plain, *_ = runs(ONE_PASS, scene("glossy"))
     several, *_ = runs(ONE_PASS, scene("glossy"), light_candidates=5, first_seed=100)

@@ -62,6 +62,7 @@ def swept(width: float, left: float, travel: float) -> np.ndarray:
     return beyond(left + width) - beyond(left)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [DELTA, IBL, ONE_PASS, TWO_PASS], ids=lambda m: m.name)
 @pytest.mark.parametrize("who", ["object", "camera"])
 def test_a_moving_card_covers_its_share_of_pixel_and_time(method, who):

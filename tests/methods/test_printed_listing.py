@@ -42,7 +42,8 @@ def test_what_a_ball_sends_would_be_taken_away():
     at = ((1, 0, 0), UP, 0.5, 100_000)
     with_ball, error = radiance(items, *at, 5)
     truth = with_ball - 0.5
-    assert truth == pytest.approx(-0.102, abs=1e-3)
+    # The number is known to three digits.
+    assert abs(truth + 0.102) < 5e-4 + 4 * error
     late = [printed(items, *at, 1, bounces=b, miss_adds=False)[0] for b in (1, 2)]
     right = [printed(items, *at, 1, bounces=b, **REPAIRED)[0] for b in (1, 2)]
     assert late[1] < late[0] - 0.03 and right[1] > right[0] + 0.02
