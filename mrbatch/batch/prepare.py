@@ -59,8 +59,8 @@ class Prepared:
     @property
     def exposure(self) -> Exposure:
         """What of each frame is known before its picture is read."""
-        announced = {*self.shot.frames, *(int(n) for n in self.shot.table.get("absent", {}))}
-        return Exposure(self.job, self.capture, self.shot.table, self.scene, self.display, sorted(announced))
+        shot = self.shot
+        return _exposure(self.job, self.capture, shot.table, self.scene, self.display, shot.frames)
 
     @property
     def absent(self) -> dict[int, InputError]:
@@ -232,6 +232,19 @@ def _cameras(capture: Capture, table: Mapping[str, Any]) -> CameraOf:
     return lambda number: next(iter(capture.geometry(number, table).values())).camera
 
 
+def _exposure(
+    job: Job,
+    capture: Capture,
+    table: Mapping[str, Any],
+    scene: Scene,
+    display: Mapping[str, tuple[int, int]],
+    numbers: tuple[int, ...],
+) -> Exposure:
+    """Of the shot's frames, those that cannot be rendered among them."""
+    announced = sorted({*numbers, *(int(n) for n in table.get("absent", {}))})
+    return Exposure(job, capture, table, scene, display, announced)
+
+
 def clock_of(table: Mapping[str, Any], facts: CaptureFacts) -> Clock:
     """Which second each frame is shown at. Raises InputError where nothing tells."""
     frames, seconds = (np.asarray(table.get(key, ()), dtype=np.float64) for key in ("frames", "times"))
@@ -278,8 +291,7 @@ def _plan(
     wanted: frozenset[str],
 ) -> Shot:
     display, _ = output_views(job, _first_geometry(capture, table, numbers))
-    announced = sorted({*numbers, *(int(n) for n in table.get("absent", {}))})
-    exposure = Exposure(job, capture, table, scene, display, announced)
+    exposure = _exposure(job, capture, table, scene, display, numbers)
     # Where none can be used, the last one says why.
     frames = tuple(_usable_facts(exposure, numbers)) or (exposure.frame(numbers[-1]),)
     shot_facts = ShotFacts(

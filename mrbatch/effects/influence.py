@@ -73,28 +73,6 @@ def _overlaps(tiles: np.ndarray, rectangle: tuple[float, float, float, float] | 
     )
 
 
-def _pixel_directions(camera: Camera, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """World directions of pixels (n, 3), float64, not normalized; distortion undone by Newton-free fixed
-    point (only a bound is wanted: `MARGIN` covers its error), NaN where that does not settle to a pixel."""
-    k = camera.matrix
-    yd = (y - k[1, 2]) / k[1, 1]
-    xd = (x - k[0, 2] - k[0, 1] * yd) / k[0, 0]
-    k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
-    xu, yu = xd.copy(), yd.copy()
-    if np.any(camera.distortion != 0):
-        for _ in range(20):
-            r2 = xu * xu + yu * yu
-            radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-            dx = 2 * p1 * xu * yu + p2 * (r2 + 2 * xu * xu)
-            dy = p1 * (r2 + 2 * yu * yu) + 2 * p2 * xu * yu
-            last = xu, yu
-            xu, yu = (xd - dx) / radial, (yd - dy) / radial
-        moved = np.maximum(np.abs(xu - last[0]) * k[0, 0], np.abs(yu - last[1]) * k[1, 1])
-        xu = np.where(moved < 1.0, xu, np.nan)
-    local = np.stack([xu, yu, np.ones_like(xu)], axis=-1)
-    return local @ camera.world_from_camera[:3, :3].T
-
-
 def seen_part(
     camera: Camera, tiles: np.ndarray, bounds: Box, plane: Side | None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +95,8 @@ def seen_part(
     y = np.stack([tiles[:, 1], tiles[:, 1], tiles[:, 3], tiles[:, 3]], axis=1).astype(np.float64)
     x += np.array([-1, 1, -1, 1]) * MARGIN
     y += np.array([-1, -1, 1, 1]) * MARGIN
-    d = _pixel_directions(camera, x.ravel(), y.ravel()).reshape(n, 4, 1, 3)
+    d = camera.directions(np.stack([x.ravel(), y.ravel()], axis=1)) @ camera.world_from_camera[:3, :3].T
+    d = d.reshape(n, 4, 1, 3)
     if camera.lens is not None:
         d = centre + camera.lens.focus * d - eyes
     heights = offset - eyes @ normal

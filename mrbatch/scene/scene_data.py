@@ -16,7 +16,7 @@ from mrbatch.kernels.environment import EnvironmentData
 from mrbatch.kernels.texture import TextureAtlas, build_texture_atlas
 from mrbatch.scene.lamp_table import LampData, emits, lamp_table
 from mrbatch.scene.mesh import Mesh
-from mrbatch.scene.scene import MAX_TRIANGLES, Scene
+from mrbatch.scene.scene import MAX_TRIANGLES, Scene, Texture
 
 VIRTUAL = wp.constant(wp.int32(1))
 RECEIVE = wp.constant(wp.int32(2))
@@ -223,6 +223,14 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu", *, shared: Any = N
     objects = []
     textures: list[np.ndarray] = []
     n_vertices = n_triangles = 0
+
+    def placed(texture: Texture | None) -> int:
+        # Its number in the atlas, or -1.
+        if texture is None:
+            return -1
+        textures.append(texture.pixels)
+        return len(textures) - 1
+
     for number, item in enumerate(scene.objects):
         mesh = item.mesh
         local = (mesh.vertices - scene.origin).astype(np.float32)
@@ -254,29 +262,14 @@ def upload(scene: Scene, engine: Engine, device: str = "cpu", *, shared: Any = N
         entry.priority = item.material.priority
         entry.absorption = wp.vec3(*item.material.absorption)
         entry.edge = wp.vec3(*item.material.edge)
-        entry.texture = -1
-        if item.material.texture is not None:
-            entry.texture = len(textures)
-            textures.append(item.material.texture.pixels)
-        entry.surface_texture = -1
-        if item.material.surface_texture is not None:
-            entry.surface_texture = len(textures)
-            textures.append(item.material.surface_texture.pixels)
-        entry.normal_texture = -1
-        if item.material.normal_texture is not None:
-            entry.normal_texture = len(textures)
-            textures.append(item.material.normal_texture.pixels)
+        entry.texture = placed(item.material.texture)
+        entry.surface_texture = placed(item.material.surface_texture)
+        entry.normal_texture = placed(item.material.normal_texture)
         entry.emission = wp.vec3(*item.material.emission)
-        entry.emission_texture = -1
-        if item.material.emission_texture is not None:
-            entry.emission_texture = len(textures)
-            textures.append(item.material.emission_texture.pixels)
+        entry.emission_texture = placed(item.material.emission_texture)
         entry.opacity = item.material.opacity
         entry.opacity_cutoff = item.material.opacity_cutoff
-        entry.opacity_texture = -1
-        if item.material.opacity_texture is not None:
-            entry.opacity_texture = len(textures)
-            textures.append(item.material.opacity_texture.pixels)
+        entry.opacity_texture = placed(item.material.opacity_texture)
         objects.append(entry)
     if n_triangles > MAX_TRIANGLES:
         raise InputError(f"{n_triangles} triangles are more than {MAX_TRIANGLES}")

@@ -106,7 +106,6 @@ def main() -> None:
     parser.add_argument("output", type=Path)
     parser.add_argument("--spp", type=int, required=True)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=0)
     arguments = parser.parse_args()
 
     import bpy
@@ -126,10 +125,8 @@ def main() -> None:
     scene.render.resolution_x, scene.render.resolution_y = told["width"], told["height"]
     scene.render.resolution_percentage = 100
     scene.render.film_transparent = True
-    if arguments.threads:
-        scene.render.threads_mode, scene.render.threads = "FIXED", arguments.threads
     cycles = scene.cycles
-    cycles.device, cycles.samples, cycles.seed = "CPU", arguments.spp, arguments.seed
+    cycles.device, cycles.samples = "CPU", arguments.spp
     cycles.use_denoising, cycles.use_adaptive_sampling = False, False
     cycles.pixel_filter_type = "BOX"
     cycles.sample_clamp_indirect = 0.0

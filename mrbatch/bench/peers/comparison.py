@@ -84,10 +84,8 @@ def compare(
     prepared = prepare(settled, TimingNode("bench"))
     numbers = select_frames(settled.frames, prepared.shot.frames)
     scene = folder / "scene"
-    export(prepared, numbers, scene)
-    photos = [np.load(scene / f"photo_{n:04d}.npy") for n in numbers]
+    captured = export(prepared, numbers, scene)
     name = prepared.job.name
-    gains = [np.asarray(f["gain"]) for f in _told(scene)]
 
     def our_job(samples: int, seed: int) -> tuple[float, list[np.ndarray]]:
         output = folder / "ours"
@@ -105,7 +103,7 @@ def compare(
         command = [python, str(script), str(scene), str(output), "--spp", str(samples), "--seed", str(seed)]
         seconds = _run(command)
         pictures = []
-        for n, photo, gain in zip(numbers, photos, gains):
+        for n, (photo, gain) in zip(numbers, captured):
             pixels, channels = _read(output / f"{n:04d}.exr")
             pictures.append(caught(pixels, channels, photo, gain) if peer == "blender" else pixels[..., :3])
         return seconds, pictures
@@ -114,7 +112,7 @@ def compare(
     first = [our_job(max(64, spp[0]), seed)[1] for seed in (101, 102)]
     regions = [
         region_of_interest((a + b) / 2, photo, deviation=np.abs(a - b) / 2)
-        for a, b, photo in zip(*first, photos)
+        for a, b, (photo, _) in zip(*first, captured)
     ]
     references = [(a + b) / 2 for a, b in zip(*first)]
 
@@ -159,12 +157,6 @@ class _Found:
     spp: int
     noise: float
     mean: list[np.ndarray]
-
-
-def _told(scene: Path) -> list[dict]:
-    import json
-
-    return json.loads((scene / "scene.json").read_text())["frames"]
 
 
 def _run(command: Sequence[str]) -> float:

@@ -18,14 +18,16 @@ import numpy as np
 from mrbatch.batch.framing import framed
 from mrbatch.batch.prepare import Prepared
 from mrbatch.errors import InputError
+from mrbatch.film.window import Window
 from mrbatch.scene.scene import SceneObject
 
 MATERIALS = ("diffuse", "conductor")
 """What all of them have, with the same meaning."""
 
 
-def export(prepared: Prepared, frames: Sequence[int], folder: Path) -> None:
-    """Writes the scene as it is at the first of `frames` and what each frame has of its own.
+def export(prepared: Prepared, frames: Sequence[int], folder: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Writes the scene as it is at the first of `frames` and what each frame has of its own; gives the photo
+    (h, w, 3) and the gain (3,) of each.
 
     Raises InputError for what has no exact counterpart: moving objects, other materials, several views.
     """
@@ -44,26 +46,25 @@ def export(prepared: Prepared, frames: Sequence[int], folder: Path) -> None:
         "objects": [_object(number, item, folder) for number, item in enumerate(scene.objects)],
         "frames": [],
     }
+    written: list[tuple[np.ndarray, np.ndarray]] = []
     np.save(folder / "environment.npy", scene.environment.radiance)
     for number in frames:
         given = prepared.capture.frame(number, prepared.shot.table).views[view]
         camera = given.camera.scaled(*size)
-        np.save(folder / f"photo_{number:04d}.npy", framed(given.background, size, _whole(size)))
+        photo = framed(given.background, size, Window(0, 0, *size))
+        gain = np.broadcast_to(np.asarray(given.gain, dtype=np.float64), (3,))
+        np.save(folder / f"photo_{number:04d}.npy", photo)
         told["frames"].append(
             {
                 "number": number,
                 "matrix": camera.matrix.tolist(),
                 "world_from_camera": camera.world_from_camera.tolist(),
-                "gain": np.broadcast_to(np.asarray(given.gain, dtype=np.float64), (3,)).tolist(),
+                "gain": gain.tolist(),
             }
         )
+        written.append((photo, gain))
     (folder / "scene.json").write_text(json.dumps(told, indent=1))
-
-
-def _whole(size: tuple[int, int]) -> Any:
-    from mrbatch.film.window import Window
-
-    return Window(0, 0, *size)
+    return written
 
 
 def _object(number: int, item: SceneObject, folder: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mrbatch.capture.marker_video.pose_table import FramePose
 from mrbatch.errors import InputError, Place
+from mrbatch.scene.motion import rigid_between
 
 LostPolicy = Literal["stop", "skip", "hold-last", "interpolate"]
 
@@ -48,14 +49,7 @@ def fill_lost(rows: list[FramePose], lost: LostPolicy) -> list[FramePose]:
 
 def interpolate(before: FramePose, after: FramePose, time: float) -> np.ndarray:
     """(4, 4) pose between two frames: rotation along the shortest arc, place along the line, by time."""
-    from scipy.spatial.transform import Rotation, Slerp
-
     a, b = before.world_from_camera, after.world_from_camera
     assert a is not None and b is not None
     span = after.time - before.time
-    share = (time - before.time) / span if span > 0 else 0.5
-    pose = np.eye(4)
-    turns = Rotation.from_matrix(np.stack([a[:3, :3], b[:3, :3]]))
-    pose[:3, :3] = Slerp([0.0, 1.0], turns)([share]).as_matrix()[0]
-    pose[:3, 3] = (1.0 - share) * a[:3, 3] + share * b[:3, 3]
-    return pose
+    return rigid_between(a, b, (time - before.time) / span if span > 0 else 0.5)
