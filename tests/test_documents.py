@@ -76,7 +76,7 @@ def test_other_settings_are_advised_with_another_folder():
 
 def test_continuous_integration_calls_the_test_command_of_the_readme():
     commands = re.findall(r"\.venv/bin/(python -m pytest[^`\n]*)", README)
-    assert commands == ["python -m pytest", "python -m pytest -m slow -n 0"]
+    assert commands == ["python -m pytest", "python -m pytest -m slow"]
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert all(re.search(rf"^{re.escape(command)}", script, flags=re.MULTILINE) for command in commands)
 

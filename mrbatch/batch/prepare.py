@@ -311,7 +311,8 @@ def _plan(
             )
     most_gain = max(float(np.max(g)) for f in frames for g in f.gains.values())
     sources = [float(scene.environment.radiance.max(initial=0.0))]
-    sources += [float(o.material.most_emission.max()) for o in scene.virtual]
+    # A real lamp counts too: a virtual mirror may show it.
+    sources += [float(o.material.most_emission.max()) for o in scene.objects]
     peak = max(sources) * most_gain
     if job.output.dtype == "auto":
         colour_type, reason = choose_colour_type(

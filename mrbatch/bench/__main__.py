@@ -196,7 +196,14 @@ def samplers(**options: Any) -> None:
 @click.option("--peer", type=click.Choice(["mitsuba", "blender"]), required=True)
 @click.option("--python", default=sys.executable, help="That has the peer; default: this one.")
 @click.option("--relmse", default=1e-3, show_default=True, type=click.FloatRange(0, min_open=True))
-@click.option("--repeats", default=3, show_default=True, type=click.IntRange(3))
+@click.option("--repeats", default=3, show_default=True, type=click.IntRange(1))
+@click.option(
+    "--noise-of",
+    multiple=True,
+    metavar="FRAME",
+    type=int,
+    help="Frames whose noise stands for all; default: every frame.",
+)
 @click.option(
     "--spp", nargs=2, default=(16, 64), show_default=True, type=click.IntRange(2), help="To begin at."
 )

@@ -123,6 +123,7 @@ def blurred(tmp_path_factory) -> Path:
     )
 
 
+@pytest.mark.slow
 def test_a_frame_depends_on_itself_alone(blurred):
     """Threads, size of launches and of batches, and which frames are rendered, change no bit."""
     whole = render(blurred)
@@ -131,6 +132,7 @@ def test_a_frame_depends_on_itself_alone(blurred):
     assert same(channels(alone, 2), channels(whole, 2), *PARTS, "depth.Z", "motion.X", "normal.X")
 
 
+@pytest.mark.slow
 def test_layers_are_blurred_alike(blurred, tmp_path):
     """Masks cover what the virtual layer covers; depth is that of the nearest sample; motion that of the
     points that are seen, from the frame's own time to the next frame's."""

@@ -110,6 +110,7 @@ def test_a_missing_library_is_one_clear_error(shot, monkeypatch):
     assert not list(shot.parent.glob("missing/*.exr"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_error_to_a_converged_picture_falls_and_the_mean_stays(tmp_path, kind):
     """32 samples against 2048, on what virtual objects change; the composite's mean is kept to 0.1 %."""
@@ -128,6 +129,7 @@ def test_the_error_to_a_converged_picture_falls_and_the_mean_stays(tmp_path, kin
     assert picture(found)[changed].mean() == pytest.approx(picture(raw)[changed].mean(), rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_reflectance_from_the_photo_is_divided_out_and_laid_over_again(tmp_path, kind):
     """The photo is noise, and with it the reflectance that is read from it: the light change relative to the

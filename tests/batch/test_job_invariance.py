@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_job import HEIGHT, WIDTH, codes, write_job
+from small_job import CRATE, HEIGHT, WIDTH, codes, write_job
 
 from mrbatch.batch import job_run
 from mrbatch.batch.job_run import plan_job, render_job
@@ -118,6 +118,7 @@ def tiles_done(path: Path, *overrides: str) -> tuple[set[tuple[int, int]], set[t
     }
 
 
+@pytest.mark.slow
 def test_a_crop_decides_as_the_full_frame_does(tmp_path):
     """Light so faint that many tiles lie near half a code value: a tile cut by the crop is still whole."""
     table = [{"name": "table", "plane": {"size": ["3 m", "3 m"]}, "reflectance": 0.4}]
@@ -155,6 +156,7 @@ PHOTO_TABLE = [
 ]
 
 
+@pytest.mark.slow
 def test_a_crop_with_reflectance_from_the_photo(tmp_path):
     """Light comes from beyond the crop: the whole photo is read, whatever part is rendered."""
     path = write_job(tmp_path, (1,), real=PHOTO_TABLE)
@@ -218,6 +220,16 @@ def test_without_virtual_objects_the_code_values_come_back(tmp_path, dtype):
         linear = np.stack([made[c] for c in "RGB"], axis=-1)
         assert np.array_equal(from_linear(linear, "srgb", bits), codes(number, dtype))
         assert (made["A"] == 1).all()
+
+
+def test_a_real_lamp_beyond_half_floats_makes_float_frames(tmp_path):
+    # The camera may see it in a virtual mirror.
+    lamp = {"name": "lamp", "box": CRATE["box"], "transform": {"translate": [0, 0, "2 m"]}}
+    lamp |= {"reflectance": 0.0, "emission": 2e5}
+    path = write_job(tmp_path, (0,))
+    assert plan_job(load_job(path)).shot.colour_type == "half"
+    table = {"name": "table", "plane": {"size": ["0.3 m", "0.3 m"]}, "reflectance": [0.4, 0.3, 0.2]}
+    assert plan_job(load_job(write_job(tmp_path, (0,), real=[table, lamp]))).shot.colour_type == "float"
 
 
 def test_without_virtual_objects_linear_floats_come_back(tmp_path):

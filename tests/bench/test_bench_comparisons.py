@@ -97,6 +97,7 @@ def test_bounces_are_edges_beyond_the_camera_and_the_light(variants):
     assert counters["vertices"] <= counters["camera rays"]
 
 
+@pytest.mark.slow
 def test_strategies_are_compared_at_equal_samples(job):
     found = strategies(Variants(job, ["output.scale=0.5", "method.spp=32"]), repeats=3, reference_spp=512)
     assert tuple(row.strategy for row in found.rows) == STRATEGIES

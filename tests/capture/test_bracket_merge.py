@@ -451,6 +451,7 @@ def test_the_noise_that_tables_allow(tmp_path):
 # Brackets of another renderer's maps, as JPEG with subsampled colours.
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "median", "over"), [("window", 0.005, 0.013), ("lamps", 0.006, 0.036)])
 def test_real_jpegs_of_a_known_map(tmp_path, shared_data, name, median, over):

@@ -79,6 +79,7 @@ def found(fit) -> np.ndarray:
 # The fit.
 
 
+@pytest.mark.slow
 def test_the_stated_sigma_is_the_error_made():
     """Over 12 draws of noise, errors divided by sigma have variance 1."""
     scores, lens = [], []
@@ -92,6 +93,7 @@ def test_the_stated_sigma_is_the_error_made():
         assert np.abs(z.mean(axis=0)).max() < 4.0 / np.sqrt(12)
 
 
+@pytest.mark.slow
 def test_views_that_err_as_a_whole_show():
     """A board that bends in the hand: the fit's own sigma is far too small, that of the views is not."""
     by_fit, by_views = [], []
@@ -203,6 +205,7 @@ def pictures():
     return [drawn(pose) for pose in poses(12, seed=5)]
 
 
+@pytest.mark.slow
 def test_rendered_pictures(tmp_path, pictures):
     for i, linear in enumerate(pictures):
         cv2.imwrite(str(tmp_path / f"p{i:02}.png"), photograph(linear, noise=0.01, seed=i, blur=0.7))
@@ -299,6 +302,7 @@ def test_the_file_is_plain_numbers():
 # A real set.
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_a_real_camera(tmp_path, shared_data):
     """Against the intrinsics that the set's author fitted to the same pictures: within half a sigma."""

@@ -53,6 +53,7 @@ def test_corners_of_a_rendered_marker(dictionary, blur):
     assert np.sqrt(np.diag(found.covariance)).max() < 0.1
 
 
+@pytest.mark.slow
 def test_stated_corner_covariance_is_true():
     """Fits of many noise patterns scatter as the covariance says, and have no bias beyond it."""
     page, metres = marker_page("DICT_4X4_50", 7, 0.06)
@@ -126,6 +127,7 @@ def test_charuco_frame_is_centred_x_right_y_up(squares, legacy):
     assert not found.points_3d[:, 2].any()
 
 
+@pytest.mark.slow
 def test_grid_board():
     settings = {
         "type": "grid",

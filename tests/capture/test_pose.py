@@ -383,6 +383,7 @@ def test_smoothed_poses_of_a_rendered_shot(gap_shot):
     assert table.median_rms < before.median_rms + 0.05
 
 
+@pytest.mark.slow
 def test_smoothing_halves_the_error_of_a_rendered_film():
     """Two seconds round a marker of 27 pixels: poses found in noisy pictures against those that made them."""
     page, metres = marker_page("DICT_4X4_50", 7, 0.06)

@@ -102,6 +102,7 @@ WARPS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.case("GEO-05")
 @pytest.mark.parametrize(
     ("engine", "kind"),

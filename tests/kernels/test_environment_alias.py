@@ -217,6 +217,7 @@ def test_a_stored_direction_is_an_inversion_of_the_cdf():
     assert near.mean() > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.case("TRAP-2a")
 def test_sample_map_is_biased_where_the_others_pass():
     """TRAP-2a: chi-square, and the light of discs of 10 degrees, that no number of samples brings right."""

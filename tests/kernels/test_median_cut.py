@@ -73,6 +73,7 @@ def expected_bins(environment, columns, rows):
     return in_z.T @ in_u / len(leaves)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in MAPS])
 def test_chi_square(name):
     environment = MAPS[name]

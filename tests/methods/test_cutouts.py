@@ -55,6 +55,7 @@ def rectangle_share(x0, x1, y0, y1, height):
     return to_corner(x1, y1) - to_corner(x0, y1) - to_corner(x1, y0) + to_corner(x0, y0)
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 @pytest.mark.parametrize("opacity", [1.0, 0.5, 0.25])
 def test_black_card_takes_its_opacity_of_what_it_hides(method, opacity):
@@ -65,6 +66,7 @@ def test_black_card_takes_its_opacity_of_what_it_hides(method, opacity):
     agrees(found.delta, found.delta_error, -0.5 * share * opacity, 1e-4)
 
 
+@pytest.mark.slow
 def test_shadow_rays_know_opacity_without_noise():
     """Where light is drawn alone, a card that hides all of the light takes exactly its opacity of each
     sample: a shadow ray that stopped at random would not."""
@@ -78,6 +80,7 @@ def test_shadow_rays_know_opacity_without_noise():
         np.testing.assert_allclose(part.pixels, whole.pixels * opacity, rtol=1e-6)
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 def test_grey_card_sends_what_it_keeps_times_its_reflectance(method):
     """DPT-05 with opacity: two endless plates, L = rr (1 - a) / (1 - rr a rv)."""
@@ -88,6 +91,7 @@ def test_grey_card_sends_what_it_keeps_times_its_reflectance(method):
         agrees(found.delta, found.delta_error, oracle, 1e-3)
 
 
+@pytest.mark.slow
 def test_dpt_06_mirror_card_with_opacity():
     """Upright mirror card: -rr F a (1 - R); a full mirror changes nothing at any opacity."""
     upright = placed(plane(2, 1), at=(0, 0, 0.5), normal=(1, 0, 0))
@@ -105,6 +109,7 @@ def test_dpt_06_mirror_card_with_opacity():
         agrees(found.delta, found.delta_error, -0.5 * share * opacity * (1 - r), 1e-4)
 
 
+@pytest.mark.slow
 @EVERY
 def test_card_of_opacity_0_is_no_card(method):
     """No bit changes, and nothing is read from the map on its account."""
@@ -138,6 +143,7 @@ def test_checkerboard_throws_half_a_shadow_far_away(method):
         agrees(found.delta, found.delta_error, -0.5 * share / 2, 0.01 * share)
 
 
+@pytest.mark.slow
 def test_cut_out_is_where_its_picture_says():
     """u runs right, v up; from the cutoff on it is there."""
     picture = np.array([[0.0, 0.0], [0.0, 1.0]])  # the lower right quarter
@@ -151,6 +157,7 @@ def test_cut_out_is_where_its_picture_says():
     assert abs(xs.mean() - 11.5) < 0.3 and abs(ys.mean() - 11.5) < 0.3
 
 
+@pytest.mark.slow
 @EVERY
 def test_coverage_is_the_opacity(method):
     """A card across the view: every second ray of a pixel stops at it, neither more nor less."""
@@ -182,6 +189,7 @@ def test_white_furnace_with_a_veil_before_everything(method):
     assert abs(c.mean() - 1.0) < 4 * c.std(ddof=1) / 8 + 1e-3
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 def test_veil_over_a_shadowed_floor_weighs_the_change(method):
     """D = mean of (1 - M) Delta: what stays visible of the change, behind a veil that casts none itself."""
@@ -196,6 +204,7 @@ def test_veil_over_a_shadowed_floor_weighs_the_change(method):
     assert error < 0.05 * abs(one.mean())
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 def test_light_between_real_walls_through_a_veil(method):
     """In a corner: a black veil whole before the wall takes its opacity of what the wall sends, DPT-21."""
@@ -232,6 +241,7 @@ def test_engines_agree():
     assert apart[1] < apart[0] + 0.02
 
 
+@pytest.mark.slow
 def test_pictures_do_not_depend_on_launches():
     scene = scene_of([*corner(0.5, size=64.0), of(0.4, virtual("v", plane(2, 2, centre=(1.5, 0, 0.7)), 0.7))])
     view = look_at((3, -2, 3), (0.7, 0, 0.4), width=40, height=24, focal=30)
@@ -257,6 +267,7 @@ def test_texture_of_ones_leaves_no_branch_and_no_bit(method):
         assert other.counters == with_plain.counters
 
 
+@pytest.mark.slow
 def test_a_veil_inside_a_medium_does_not_shorten_the_way():
     """What is left of light after a slab is its whole thickness', however many cut-out cards lie in it."""
     dark = Material("dielectric", (1.0,) * 3, 0.0, ior=1.5, absorption=(2.0, 1.0, 0.5))

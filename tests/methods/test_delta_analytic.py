@@ -42,6 +42,7 @@ def agrees(found, error, oracle, tolerance=0.0, sigmas=4.0):
     assert np.all(np.abs(found - oracle) <= room), (found, oracle, room)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=[c.name for c in CASES])
 def test_hard_case_of_the_product(case):
     outcome = case.run(3)
@@ -88,6 +89,7 @@ def test_without_virtual_objects_no_bit_changes_and_nothing_is_traced(extra):
     assert result.plan.effects["light-change"].state == "absent"
 
 
+@pytest.mark.slow
 @pytest.mark.case("DPT-01", "DPT-07")
 def test_an_object_behind_the_wall_changes_nothing():
     """DPT-01/-07: everything is traced (no mask is asked for), and every contribution is exactly zero."""
@@ -350,6 +352,7 @@ def test_turning_scene_and_map_together_changes_nothing():
     agrees(permuted.delta, np.hypot(permuted.delta_error, base.delta_error), base.delta)
 
 
+@pytest.mark.slow
 @pytest.mark.case("MIS-05")
 def test_strategies_have_the_same_mean():
     """MIS-05: light sampling, surface sampling and both, under a lamp."""
@@ -366,6 +369,7 @@ def test_strategies_have_the_same_mean():
 # --- furnaces and edges -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.case("MIS-05")
 @pytest.mark.parametrize("strategy", ["mis", "environment"])
 def test_more_directions_to_the_light_have_the_same_mean(strategy):
@@ -419,6 +423,7 @@ def test_white_objects_vanish_in_a_white_world(material):
         assert abs(values.mean() - 1) < room + 4 * values.std() / np.sqrt(len(values))
 
 
+@pytest.mark.slow
 @pytest.mark.case("DPT-11", "TRAP-3e")
 def test_card_edge_with_fractional_coverage():
     """DPT-11, TRAP-3e: coverage .37; D is the change of what stays visible, weighted once."""
@@ -479,6 +484,7 @@ def test_one_batch_of_all_samples_equals_many_of_one():
     assert np.array_equal(one.pixels, all_at_once.pixels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("s", [0.6, 2.0])
 def test_owen_points_are_never_worse(s):
     """MC-01's other half: at equal spp the scrambled points' mean squared error is no larger."""

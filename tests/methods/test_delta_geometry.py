@@ -45,6 +45,7 @@ def same(a, b):
 # --- meshes -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.case("GEO-04")
 def test_broken_triangles_show_in_no_bit(tmp_path):
     """A file with triangles of no area, repeated corners and vertices that are no numbers; one without."""
@@ -67,6 +68,7 @@ def test_broken_triangles_show_in_no_bit(tmp_path):
     same(*seen)
 
 
+@pytest.mark.slow
 @pytest.mark.case("GEO-06", "TRAP-3i")
 @pytest.mark.parametrize("real_things", ["plane", "corner"])
 def test_a_surface_that_is_there_twice_is_there_once(real_things):
@@ -166,6 +168,7 @@ def upright_share(a: float, b: float, c: float) -> float:
     return float((np.arctan(1 / y) - y / q * np.arctan(1 / q)) / (2 * np.pi))
 
 
+@pytest.mark.slow
 @pytest.mark.case("DPT-06")
 @pytest.mark.parametrize("reflectance", [0.0, 0.4, 1.0])
 def test_upright_mirror_takes_what_it_does_not_mirror(reflectance):
@@ -189,6 +192,7 @@ def test_upright_mirror_takes_what_it_does_not_mirror(reflectance):
 # --- in front and behind ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.case("DPT-07")
 def test_what_stands_in_a_closed_real_box_changes_nothing_outside():
     """Six walls with a glowing white ball inside: not a bit, and the map is never asked."""

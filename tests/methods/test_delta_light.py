@@ -96,6 +96,7 @@ MAPS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.case("MIS-05")
 @pytest.mark.parametrize("name", MAPS)
 def test_every_way_of_drawing_has_the_same_mean(name):
@@ -162,6 +163,7 @@ def test_smooth_glass_is_lit_by_scattered_directions_alone():
     np.testing.assert_allclose(found.virtual, 1.0, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.case("MC-02", "TRAP-3c")
 def test_a_table_whose_light_is_all_blocked_is_black_in_the_mean():
     """Clamping each sample's sum with the photo, and not the mean, leaves light: sigma / sqrt(2 pi) of it."""

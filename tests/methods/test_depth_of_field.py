@@ -63,6 +63,7 @@ def polygon_variance(radius: float, sides: int = 48) -> float:
 SPREAD = polygon_variance(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [DELTA, IBL, ONE_PASS, TWO_PASS], ids=lambda m: m.name)
 @pytest.mark.parametrize(("depth", "focus"), [(2.0, 3.0), (3.0, 1.5)])
 def test_a_point_spreads_over_the_circle_of_confusion(method, depth, focus):
@@ -111,6 +112,7 @@ def test_the_plane_in_focus_is_flat():
     assert wrong > 10
 
 
+@pytest.mark.slow
 def test_distortion_bends_the_blurred_picture():
     """The thin lens lies in front of the distortion: a point spreads over the image of its disc."""
     distortion = [-0.3, 0.1, 2e-3, -1e-3, 0, 0, 0, 0]
@@ -155,6 +157,7 @@ def above(lens, focal=60.0, tall=2.0):
     return Camera(WIDTH, HEIGHT, k, np.zeros(8), pose, lens=lens)
 
 
+@pytest.mark.slow
 def test_shadows_out_of_focus_are_blurred():
     """The change on a floor at one depth is the sharp one, averaged over the circle of confusion."""
     lens = Lens(radius=0.15, focus=1.0)

@@ -50,6 +50,7 @@ def shown_equal(found, error, other, other_error, size, *, share=0.01, tolerance
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "case"), CASES, ids=[f"{m.name}-{c.name}" for m, c in CASES])
 def test_hard_case_of_the_product(method, case):
     outcome = case.run(3)
@@ -142,6 +143,7 @@ def test_light_on_virtual_objects_is_the_same_to_the_bit(method):
     assert np.array_equal(ours.a, other.a) and np.array_equal(ours.P, other.P)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{}, {"max_depth": 3, "light_samples": 2}], ids=["roulette", "capped"])
 def test_one_pass_with_common_numbers_is_delta_path_tracing_plus_what_cancels(settings):
     ours, other = (rich_picture(m, settings=settings) for m in (DELTA, ONE_PASS))
@@ -153,6 +155,7 @@ def test_one_pass_with_common_numbers_is_delta_path_tracing_plus_what_cancels(se
     assert ours.counters["camera rays"] == other.counters["camera rays"]
 
 
+@pytest.mark.slow
 def test_two_pass_takes_numbers_of_its_own_for_the_second_picture():
     """Where nothing changes the difference is noise around zero: no common numbers cancel it."""
     scene = scene_of([*corner(0.5), virtual("hidden", ball(0.5, at=(-3, 0, 1)), 0.9)], lamp_sky())
@@ -162,6 +165,7 @@ def test_two_pass_takes_numbers_of_its_own_for_the_second_picture():
     assert not probe(ONE_PASS, scene, (1, 0, 0), spp=64).pixels.any()
 
 
+@pytest.mark.slow
 def test_strategies_have_the_same_mean():
     """MIS-05 for the vertices that both paths of one-pass share; two-pass has the shared leg alone."""
     objects = [real("floor", floor()), virtual("ball", ball(0.6, at=(0.3, 0, 0.6)), 0.6, camera=False)]
@@ -217,6 +221,7 @@ def paper_scene():
     return scene_of(objects, Environment(light))
 
 
+@pytest.mark.slow
 def test_delta_path_tracing_reads_the_environment_less_often():
     """The paper's claim, on counters: look-ups of one-pass, and both pictures of two-pass, against ours."""
     view = look_at((0, -0.35, 0.25), (0, 0, 0.01), width=64, height=48, focal=60)

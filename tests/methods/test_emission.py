@@ -49,6 +49,7 @@ def test_what_glows_is_seen_glowing(name, depth):
     agrees(shown.virtual, shown.virtual_error, np.array([2.5, 3.5, 4.5]), 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRACERS)
 def test_a_mirror_shows_the_lamp(name):
     mirror = SceneObject("mirror", plane(1, 1), Material("conductor", (0.5,) * 3, 0.0), True)

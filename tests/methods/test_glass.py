@@ -96,6 +96,7 @@ def test_dpt_12_slab_shifts_what_lies_behind_by_snells_law():
         assert (found[0] > 0.5) == white
 
 
+@pytest.mark.slow
 @pytest.mark.case("BSDF-09")
 def test_bsdf_09_water_in_glass_does_not_mind_an_overlap():
     """Water reaches into the glass, or its walls stand apart: what comes through two walls and the water is
@@ -126,6 +127,7 @@ def test_bsdf_09_water_in_glass_does_not_mind_an_overlap():
     assert np.all(np.abs(found - wet) < 4 * error + 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [ONE_PASS, TWO_PASS], ids=lambda m: m.name)
 @pytest.mark.parametrize("alpha", [0.0, 0.3])
 def test_baselines_have_the_same_mean(method, alpha):
@@ -139,6 +141,7 @@ def test_baselines_have_the_same_mean(method, alpha):
     assert np.all(error < 0.05)
 
 
+@pytest.mark.slow
 def test_glass_ball_throws_a_caustic():
     """Light that a ball focuses under the sky's brighter half: brighter below it than beside its shadow."""
     light = halves(1.0, 0.0)

@@ -69,6 +69,7 @@ def test_polished_floor_shows_a_black_ball_where_it_mirrors_it():
     assert np.abs(estimate(DELTA, scene_of(matt), view, spp=64).developed.D[inside]).max() < 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", [POLISHED, LACQUER, Material("conductor", (0.8,) * 3, 0.3)])
 @pytest.mark.parametrize("method", [ONE_PASS, TWO_PASS], ids=lambda m: m.name)
 def test_equals_full_path_tracing_with_and_without_the_objects(method, material):

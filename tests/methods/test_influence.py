@@ -91,6 +91,7 @@ def dish(at, towards, radius, aperture):
     return SceneObject("dish", mesh, Material("conductor", (0.95,) * 3, 0.02), True, camera=False)
 
 
+@pytest.mark.slow
 def test_metal_that_focuses_light_is_bounded_by_the_brightest_of_the_map():
     """A dish throws an image of the lamp onto the table: it is no brighter than the lamp itself."""
     lamp, target, at = np.array([0.63, 0.0, 0.78]), np.zeros(3), np.array([-0.6, 0.0, 0.3])
@@ -182,6 +183,7 @@ def test_no_skipped_tile_changes_by_half_a_code(
     assert excess <= 0.0, (skipped, excess)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(
     st.tuples(*[st.floats(-2.5, 2.5)] * 2, st.floats(-0.5, 2.5)),

@@ -113,6 +113,7 @@ def test_a_disc_and_a_ball(name):
         assert np.all(found.delta_error < 0.02 * found.delta)
 
 
+@pytest.mark.slow
 def test_noise_of_a_small_bright_lamp_falls_by_more_than_an_order_of_magnitude():
     scene = scene_of([real("floor", FLOOR, RHO), lamp(ball(0.05, at=(0, 0, 0.5), subdivisions=3), 100.0)])
     method = get_method("delta-path-tracing")
@@ -162,6 +163,7 @@ def lit_part(lamp_sides, lid_sides, point):
 LAMP, LID = (-0.3, 0.3, -0.2, 0.2, 1.0), (0.0, 0.5, -0.1, 0.4, 0.5)
 
 
+@pytest.mark.slow
 @EVERY
 @pytest.mark.parametrize("blocker", ["virtual", "real"])
 def test_dpt_18_virtual_lamp_with_something_in_between(name, blocker):
@@ -175,6 +177,7 @@ def test_dpt_18_virtual_lamp_with_something_in_between(name, blocker):
     agrees(found.delta, found.delta_error, RHO * 5.0 * (whole - hidden), 1e-4)
 
 
+@pytest.mark.slow
 @EVERY
 def test_dpt_18_union_of_lamp_and_blocker_under_a_sky(name):
     """- sky over the union of both, + the lamp where the blocker does not hide it."""
@@ -219,6 +222,7 @@ def test_a_real_and_a_virtual_lamp_together(name):
     agrees(found.delta, found.delta_error, truth, 1e-4)
 
 
+@pytest.mark.slow
 @EVERY
 def test_light_of_a_lamp_over_a_real_wall_is_the_difference_of_two_whole_pictures(name):
     """More than one bounce among real surfaces: against everything as virtual things, with and without."""
@@ -268,6 +272,7 @@ def test_mirrored_uneven_and_moving_lamps(motion):
     assert np.all(found.delta_error < 0.02 * found.delta)
 
 
+@pytest.mark.slow
 def test_a_lamp_that_is_not_there_at_a_frame_lights_nothing():
     item = {
         "name": "lamp",
@@ -287,6 +292,7 @@ def test_a_lamp_that_is_not_there_at_a_frame_lights_nothing():
         assert not at[0].delta.any() and np.all(at[1].delta > 0.0)
 
 
+@pytest.mark.slow
 def test_texture_is_exact_where_light_comes_from():
     """A lamp whose one half glows, in three colours, twice as long in the texture as in the world."""
     half = np.zeros((2, 8, 3), np.float32)
@@ -366,6 +372,7 @@ def test_scale_by_a_power_of_two_keeps_every_bit(factor):
 GLASS = Material("dielectric", (1.0,) * 3, 0.0, ior=1.5)
 
 
+@pytest.mark.slow
 @EVERY
 @pytest.mark.parametrize("alpha", [0.0, 0.3])
 def test_lamp_inside_clear_glass_as_bright_as_the_sky_cannot_be_told_from_it(name, alpha):
@@ -388,6 +395,7 @@ def test_lamp_inside_clear_glass_as_bright_as_the_sky_cannot_be_told_from_it(nam
         agrees(found.delta, np.hypot(found.delta_error, other.delta_error), other.delta)
 
 
+@pytest.mark.slow
 def test_what_is_in_a_coloured_medium_with_the_lamp_gets_its_light_by_that_medium():
     """A card and a lamp in one block of coloured glass: a direction drawn to the lamp loses what a ray
     loses."""
@@ -413,6 +421,7 @@ def test_what_is_in_a_coloured_medium_with_the_lamp_gets_its_light_by_that_mediu
 # --- image-based lighting -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("occlusion", [False, True])
 def test_image_based_lighting_lights_virtual_things_by_lamps(occlusion):
     point = (0.1, 0.05, 0.0)
@@ -441,6 +450,7 @@ def test_image_based_lighting_does_not_see_through_a_closed_lamp():
 # --- what others need not pay -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_several_directions_from_the_first_vertex():
     scene = scene_of([real("floor", FLOOR, RHO), lamp(quad(*LAMP), 5.0)])
     point = (0.1, 0.05, 0.0)
@@ -450,6 +460,7 @@ def test_several_directions_from_the_first_vertex():
         agrees(found.delta, found.delta_error, truth, 1e-4)
 
 
+@pytest.mark.slow
 def test_photo_reflectance_knows_the_light_of_a_real_lamp():
     """E_r holds what a declared lamp sends, also over a wall, also where the photo clips the lamp."""
     from test_photo_reflectance import changes, from_photo, photo_of
@@ -489,6 +500,7 @@ def test_scenes_without_lamps_have_no_code_of_them():
     assert len(without) < len(met) < len(drawn)
 
 
+@pytest.mark.slow
 def test_numbers_of_lamps_are_apart_from_all_others():
     """Light of the map has the same bits whether directions to lamps are drawn or not."""
     from mrbatch.methods.delta_path_tracing import passes

@@ -74,6 +74,7 @@ def test_a_baseline_resamples_too():
     agree(plain, several)
 
 
+@pytest.mark.slow
 def test_noise_falls_and_shadow_rays_hardly_rise():
     """Light alone on an even sky: of the cosine's noise, 8 candidates leave an eighth; shadows stay."""
     what = scene_of(scene("diffuse").objects, sky())
@@ -89,6 +90,7 @@ def test_noise_falls_and_shadow_rays_hardly_rise():
     assert rays[1] < rays[8] < 2.2 * rays[1]
 
 
+@pytest.mark.slow
 def test_one_candidate_is_the_same_picture():
     view = look_at((3.5, -2.5, 2.0), (0.8, 0, 0.3), width=32, height=24, focal=40)
     found = [

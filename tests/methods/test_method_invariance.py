@@ -112,6 +112,7 @@ def test_seed_frame_and_half_give_other_numbers(method):
     assert np.allclose(halves.mean(axis=0)[..., :3], base.developed.P, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 @METHODS
 def test_both_engines_agree(method):
     """Other last bits of hits, the same picture: no tile differs by more than its noise."""
@@ -129,6 +130,7 @@ def test_both_engines_agree(method):
     assert np.mean(np.isclose(*same_numbers, rtol=1e-3, atol=1e-5)) > 0.95
 
 
+@pytest.mark.slow
 def test_variance_is_that_of_independent_runs():
     """With independent numbers the film's variance is what separate seeds scatter by."""
     runs = [render(DELTA, seed=k, settings={"sampler": "independent"}).developed for k in range(24)]

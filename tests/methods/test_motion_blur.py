@@ -102,6 +102,7 @@ def test_a_shadow_on_the_floor_is_averaged_over_the_exposure():
     assert np.abs(soft - sharp).max() > 10 * noise.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [DELTA, IBL, ONE_PASS, TWO_PASS], ids=lambda m: m.name)
 def test_moments_at_which_nothing_has_moved_change_no_bit(method):
     """Looked at sixteen times, each at the same scene: the samples are those of one look."""

@@ -35,6 +35,7 @@ def seen(mesh, material, light, *, method=DELTA, eye=(0, -1.0, 4.0), **options):
     return estimate(method, scene, camera, spp=options.pop("spp", 64), **options).developed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 200.0])
 def test_a_constant_map_is_a_constant_normal(method, azimuth):

@@ -66,6 +66,7 @@ def room():
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", [sky(1.0), lamp_sky()], ids=["sky", "lamp"])
 def test_the_change_is_that_of_the_true_reflectance(light):
     """The photo says of every surface what its reflectance is; gain and camera units cancel."""
@@ -88,6 +89,7 @@ def test_the_change_is_that_of_the_true_reflectance(light):
     assert np.percentile(worst, 95) < 0.1 * np.abs(truth).max()
 
 
+@pytest.mark.slow
 @pytest.mark.case("TRAP-3b")
 def test_change_over_photo_is_flat_on_a_checkerboard():
     """TRAP-3b: Delta / L_b does not depend on the ink, and is the closed form F of a black ball."""
@@ -111,6 +113,7 @@ def test_change_over_photo_is_flat_on_a_checkerboard():
         assert abs(error.mean()) < 3e-3 * abs(expected[part].mean()) + 4 * error.std() / np.sqrt(part.sum())
 
 
+@pytest.mark.slow
 def test_an_exact_photo_gives_the_exact_reflectance_and_surfaces_out_of_sight_count():
     """E_r behind the camera: light of a wall that no pixel shows is in the photo, so it must be in E_r."""
     rho = 0.5
@@ -154,6 +157,7 @@ def test_a_crop_is_the_crop_also_where_light_comes_from_beyond_it():
     assert np.array_equal(wide[3 : 3 + HEIGHT, 5 : 5 + WIDTH], whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", [sky(1.0), lamp_sky()], ids=["sky", "lamp"])
 def test_a_lone_table_needs_no_ray_for_its_irradiance(light):
     """The closed form and the traced one agree: a table that is not quite flat has no closed form."""

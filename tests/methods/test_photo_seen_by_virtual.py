@@ -79,6 +79,7 @@ def expected(view, mirror):
     return mean, flat, np.mean(points, axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.case("DPT-12", "TRAP-1h")
 @pytest.mark.parametrize("source", ["texture", "photo"])
 def test_a_mirror_shows_the_print_on_the_table(source):
@@ -122,6 +123,7 @@ def test_a_mirror_shows_the_print_on_the_table(source):
     assert np.abs(found.D.mean()) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.case("MC-07")
 def test_the_ratio_of_photo_and_irradiance_has_no_bias():
     """L_b dE / E_r with E_r by 256 pairs of samples, over many seeds: within a thousandth of dE by the true

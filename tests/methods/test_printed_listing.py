@@ -97,6 +97,7 @@ def test_a_lamp_would_be_a_shadow():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.case("TRAP-1j")
 def test_the_map_is_read_once_for_each_ray_that_something_blocks():
     """The listing reads it twice a bounce, before it knows whether anything is in the way."""

@@ -40,6 +40,7 @@ def means(method, light=None, runs=8, spp=32, **settings):
     return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(runs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "strategy"),
     [(DELTA, "mis"), (DELTA, "environment"), (IMAGE_BASED, "mis")],
@@ -52,12 +53,14 @@ def test_alias_table_gives_the_same_mean(method, strategy):
     assert np.all(np.abs(one - two) <= 4.5 * np.hypot(error, other))
 
 
+@pytest.mark.slow
 def test_shifted_points_give_the_same_mean():
     one, error = means(DELTA, sampler="owen")
     two, other = means(DELTA, sampler="cranley-patterson")
     assert np.all(np.abs(one - two) <= 4.5 * np.hypot(error, other))
 
 
+@pytest.mark.slow
 @pytest.mark.case("TRAP-2a")
 def test_sample_map_gives_another_mean():
     """Thousands of samples do not help: only 8 x 16 directions are ever asked for light."""

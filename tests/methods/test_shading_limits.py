@@ -54,6 +54,7 @@ def test_the_way_through_glass_water_and_glass_is_snells(gap):
         assert (found.mean() > 0.5) == white, (side, found.mean())
 
 
+@pytest.mark.slow
 @pytest.mark.case("BSDF-10")
 @pytest.mark.parametrize("method", [DELTA, ONE_PASS], ids=lambda m: m.name)
 def test_a_steep_map_takes_no_light_from_behind_its_surface(method):

@@ -53,6 +53,7 @@ def black_ball(**switches):
 # --- switches -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 def test_camera_switch_leaves_shadow_and_reflection(method):
     seen = picture([real("floor", floor()), black_ball()], method=method)
@@ -65,6 +66,7 @@ def test_camera_switch_leaves_shadow_and_reflection(method):
     assert seen.plan.effects["virtual"].state == "needed" and unseen.plan.effects["virtual"].state == "absent"
 
 
+@pytest.mark.slow
 @EVERY
 def test_object_without_cast_shadow_is_seen_by_the_camera_alone(method):
     ghost = picture([real("floor", floor()), black_ball(cast_shadow=False)], method=method)
@@ -77,6 +79,7 @@ def test_object_without_cast_shadow_is_seen_by_the_camera_alone(method):
         assert np.allclose(found.virtual, 1.0, atol=5e-3)
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 def test_real_object_that_takes_no_change_keeps_the_photo(method):
     """`receive` off: no Delta on it, and what it sends to others does not change either."""
@@ -107,6 +110,7 @@ def test_real_object_that_takes_no_change_keeps_the_photo(method):
     assert under.delta[0] == pytest.approx(-0.5 * lost, abs=4 * under.delta_error[0] + 5e-4)
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 def test_virtual_object_that_receives_nothing_is_lit_as_if_alone_among_real_things(method):
     card = virtual("card", plane(1, 1, centre=(0, 0, 0.2)), 1.0, receive=False)
@@ -119,6 +123,7 @@ def test_virtual_object_that_receives_nothing_is_lit_as_if_alone_among_real_thin
             assert np.allclose(found.virtual, expected, atol=5e-3)
 
 
+@pytest.mark.slow
 @EVERY
 def test_holdout_shows_the_photo_and_hides_what_is_behind(method):
     front = virtual("hold", plane(3, 3, centre=(0, -0.5, 2.0)), 0.5, holdout=True, cast_shadow=False)
@@ -133,6 +138,7 @@ def test_holdout_shows_the_photo_and_hides_what_is_behind(method):
     assert inside.shape and not held.developed.P[covered].any() and not held.developed.D[covered].any()
 
 
+@pytest.mark.slow
 @pytest.mark.case("DPT-14", "TRAP-1i")
 def test_real_holdout_keeps_the_photo_and_still_reflects_what_changed():
     """No Delta where the camera sees it, nothing virtual behind it; on others its light is as it was."""
@@ -205,6 +211,7 @@ STATES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STATES)
 def test_rules_see_what_a_scene_calls_for(name):
     objects, expected = STATES[name]
@@ -295,6 +302,7 @@ def test_absent_effects_would_have_changed_nothing():
         assert np.array_equal(getattr(lean.developed, name), getattr(full.developed, name)), name
 
 
+@pytest.mark.slow
 @pytest.mark.case("ENV-02")
 @DIFFERENTIAL
 def test_black_light_gives_nothing_at_all(method):

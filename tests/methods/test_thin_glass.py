@@ -70,6 +70,7 @@ def agrees(found, error, oracle, tolerance):
     assert np.all(np.abs(np.asarray(found) - oracle) <= room), (found, oracle, room)
 
 
+@pytest.mark.slow
 @EVERY
 def test_photo_shows_through_a_pane_in_its_colour(method):
     """C = T B, T of BSDF-07 times the colour; what is black around mirrors nothing. In photo units: a gain
@@ -86,6 +87,7 @@ def test_photo_shows_through_a_pane_in_its_colour(method):
     agrees(found.a.mean(), found.a.std() / 8, 1 - passed[2], 1e-5)
 
 
+@pytest.mark.slow
 @EVERY
 def test_pane_mirrors_the_sky(method):
     view = look_at((0, 0, 4), (0, 0, 0), width=8, height=8, focal=8 * 2**12)
@@ -95,6 +97,7 @@ def test_pane_mirrors_the_sky(method):
         agrees(p.mean(axis=0), p.std(axis=0, ddof=1) / 8, np.array([shares(1.0, c)[1] for c in colour]), 1e-5)
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 @pytest.mark.parametrize("colour", [CLEAR, BLUE], ids=["clear", "blue"])
 def test_endless_pane_over_a_floor(method, colour):
@@ -115,6 +118,7 @@ def sun(height=256):
     return Environment(radiance, interpolation="nearest")
 
 
+@pytest.mark.slow
 def test_trap_1g_the_sun_through_a_pane_makes_no_noise():
     """Shadow rays that take glass for opaque, as printed, take all of the sun, and leave it to scattered rays
     to find it again: one in 40 000 here. So do those that meet solid glass, which bends light."""
@@ -138,6 +142,7 @@ def test_trap_1g_the_sun_through_a_pane_makes_no_noise():
     assert thick.delta[0] < -0.5 * open_floor or thick.delta_error[0] > 0.5 * open_floor
 
 
+@pytest.mark.slow
 @EVERY
 def test_dpt_16_pane_of_air_changes_no_bit(method):
     view = look_at((2, 0, 2), (0, 0, 0), width=16, height=16, focal=16)
@@ -162,6 +167,7 @@ def corner_with_a_pane(colour):
     return [*corner(0.5), pane(upright, colour, camera=False), ball]
 
 
+@pytest.mark.slow
 @DIFFERENTIAL
 def test_dpt_15_pane_in_a_corner_against_two_full_traces(method):
     """Real light through coloured glass onto real things, both ways, and a virtual post behind it."""

@@ -101,6 +101,7 @@ def test_a_turned_map_is_read_in_its_own_frame():
     assert degrees(lamp_in(again), LAMP - MIDDLE) < 0.2
 
 
+@pytest.mark.slow
 def test_radiance_is_kept_and_solid_angle_is_not():
     """The lamp's irradiance on a surface that faces up, by its own closed form: a disc in the ceiling.
 
@@ -165,6 +166,7 @@ def shadows(made, view):
     return np.array(sorted((x + 0.5, y + 0.5) for y, x in found))
 
 
+@pytest.mark.slow
 @pytest.mark.case("TRAP-2h")
 def test_shadows_fall_where_the_lamps_place_throws_them(tmp_path):
     view = look_at((0.0, -0.12, 0.8), (-0.05, -0.05, 0.0), width=160, height=160, focal=260.0)

@@ -35,6 +35,10 @@ CLOSE = 0.15
 """The search for samples ends this near to the noise asked for."""
 
 
+_Job = Callable[[int, int, Sequence[int]], tuple[float, list[np.ndarray]]]
+"""Samples a pixel, seed, frames: seconds, and the pictures of those frames that are looked at."""
+
+
 @dataclass(frozen=True)
 class Side:
     """One renderer: samples a pixel, relMSE of its noise on the region of interest, mean of the frames, and
@@ -73,52 +77,60 @@ def compare(
     repeats: int = 3,
     spp: tuple[int, int] = (16, 64),
     threads: int = 2,
+    noise_of: Sequence[int] = (),
     said: Callable[[str], None] = lambda text: None,
 ) -> PeerComparison:
     """Looks for the samples a pixel of both, from `spp` (ours, the peer's) on, then times them in turns.
 
-    `python`: the interpreter that has the peer. Raises MrbatchError where a job cannot be exported or a
-    renderer fails.
+    `python`: the interpreter that has the peer. `noise_of`: numbers of the job's frames whose noise stands
+    for all (none: every frame); seconds are those of the whole job. Fewer `repeats` than 3 give an interval
+    that says nothing. Raises MrbatchError where a job cannot be exported or a renderer fails.
     """
     settled = load_job(job, list(settings))
     prepared = prepare(settled, TimingNode("bench"))
     numbers = select_frames(settled.frames, prepared.shot.frames)
+    if not set(noise_of) <= set(numbers):
+        raise MrbatchError(f"the job renders no such frames: {sorted(set(noise_of) - set(numbers))}")
+    looked_at = tuple(n for n in numbers if n in noise_of) or numbers
     scene = folder / "scene"
-    captured = export(prepared, numbers, scene)
+    export(prepared, numbers, scene)
+    captured = export(prepared, looked_at, folder / "looked at")
     name = prepared.job.name
 
-    def our_job(samples: int, seed: int) -> tuple[float, list[np.ndarray]]:
+    def our_job(samples: int, seed: int, frames: Sequence[int]) -> tuple[float, list[np.ndarray]]:
         output = folder / "ours"
         command = [sys.executable, "-m", "mrbatch", "render", str(job), "--overwrite", "--no-report"]
         command += ["--output", str(output), "--seed", str(seed)]
         command += ["--progress", "none", "--threads", str(threads)]
+        command += ["--frames", ",".join(map(str, frames))]
         for setting in (*settings, f"method.spp={samples}"):
             command += ["--set", setting]
         seconds = _run(command)
-        return seconds, [_read(output / f"{name}.{n:04d}.exr")[0][..., :3] for n in numbers]
+        return seconds, [_read(output / f"{name}.{n:04d}.exr")[0][..., :3] for n in looked_at]
 
-    def peer_job(samples: int, seed: int) -> tuple[float, list[np.ndarray]]:
+    def peer_job(samples: int, seed: int, frames: Sequence[int]) -> tuple[float, list[np.ndarray]]:
         output = folder / peer
         script = Path(__file__).parent / SCRIPTS[peer]
-        command = [python, str(script), str(scene), str(output), "--spp", str(samples), "--seed", str(seed)]
+        given = scene if frames == numbers else folder / "looked at"
+        command = [python, str(script), str(given), str(output), "--spp", str(samples), "--seed", str(seed)]
         seconds = _run(command)
         pictures = []
-        for n, (photo, gain) in zip(numbers, captured):
+        for n, (photo, gain) in zip(looked_at, captured):
             pixels, channels = _read(output / f"{n:04d}.exr")
             pictures.append(caught(pixels, channels, photo, gain) if peer == "blender" else pixels[..., :3])
         return seconds, pictures
 
     said("ours, for the region of interest")
-    first = [our_job(max(64, spp[0]), seed)[1] for seed in (101, 102)]
+    first = [our_job(max(64, spp[0]), seed, looked_at)[1] for seed in (101, 102)]
     regions = [
         region_of_interest((a + b) / 2, photo, deviation=np.abs(a - b) / 2)
         for a, b, (photo, _) in zip(*first, captured)
     ]
     references = [(a + b) / 2 for a, b in zip(*first)]
 
-    def search(title: str, run: Callable[[int, int], tuple[float, list[np.ndarray]]], samples: int) -> _Found:
+    def search(title: str, run: _Job, samples: int) -> _Found:
         for step in range(STEPS):
-            a, b = run(samples, 1)[1], run(samples, 2)[1]
+            a, b = run(samples, 1, looked_at)[1], run(samples, 2, looked_at)[1]
             noise = _mean_relmse([(x - y) / np.sqrt(2) for x, y in zip(a, b)], references, regions)
             said(f"{title}: {samples} samples a pixel, relMSE {noise:.3g}")
             wanted = max(2, 2 * round(samples * noise / relmse / 2))
@@ -133,7 +145,7 @@ def compare(
     for turn in range(repeats):
         order = [("ours", our_job, mine), (peer, peer_job, theirs)]
         for title, run, found in order if turn % 2 == 0 else order[::-1]:
-            spent[title].append(run(found.spp, 11 + turn)[0])
+            spent[title].append(run(found.spp, 11 + turn, numbers)[0])
             said(f"{title}: {spent[title][-1]:.2f} s")
     ratio = paired_ratio(spent[peer], spent["ours"], seed=1)
     scale = theirs.noise / mine.noise
