@@ -12,13 +12,24 @@ if TYPE_CHECKING:
     from mrbatch.capture.marker_video.bracket_merge import merge_hdr
     from mrbatch.capture.marker_video.calibrate import calibrate_camera
     from mrbatch.job import load_job
+    from mrbatch.stability.run import check_stability
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "calibrate_camera", "load_job", "make_board", "merge_hdr", "plan", "render"]
+__all__ = [
+    "__version__",
+    "calibrate_camera",
+    "check_stability",
+    "load_job",
+    "make_board",
+    "merge_hdr",
+    "plan",
+    "render",
+]
 
 _HOMES = {
     "calibrate_camera": ("mrbatch.capture.marker_video.calibrate", "calibrate_camera"),
+    "check_stability": ("mrbatch.stability.run", "check_stability"),
     "load_job": ("mrbatch.job", "load_job"),
     "make_board": ("mrbatch.capture.marker_video.board", "make_board"),
     "merge_hdr": ("mrbatch.capture.marker_video.bracket_merge", "merge_hdr"),

@@ -176,22 +176,38 @@ class Axis:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Outcome of a hard case: what was measured against what oracle, within which tolerance."""
+    """Outcome of a hard case: what was measured against what oracle, within which tolerance.
+
+    `conclusive`: the measurement had the power to tell a difference of the tolerance; without it nothing is
+    passed. `radiance`, `signed`: the arrays behind it; any value that is no finite number fails the case, and
+    in `radiance` any below 0, whatever else was measured.
+    """
 
     passed: bool
     measured: str
     oracle: str
     tolerance: str
+    conclusive: bool = True
+    radiance: tuple[Any, ...] = field(default=(), compare=False, repr=False)
+    signed: tuple[Any, ...] = field(default=(), compare=False, repr=False)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A hard case: `run(seed)` sets it up, measures and judges."""
+    """A hard case: `run(seed)` sets it up, measures and judges.
+
+    `name`: the row of the catalogue (docs/hard_cases.md) that it is of; `rows`: others that it shows too.
+    `setup`: the set-up in a few words. `statistical`: chance may fail it, so it is tried once more on another
+    seed where it fails. `quick`: in the quick set.
+    """
 
     name: str
     title: str
     run: Callable[[int], Measurement]
     quick: bool = True
+    setup: str = field(default="", kw_only=True)
+    rows: tuple[str, ...] = field(default=(), kw_only=True)
+    statistical: bool = field(default=False, kw_only=True)
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,20 @@
 """The catalogue of hard cases: rows of docs/hard_cases.md against the marks `case` of the tests.
 
-python tests/hard_cases.py        writes the tests of each row into the page's last column
+python tests/hard_cases.py        writes the tests of each row into the page's last column, and the rows for
+                                  `mrbatch stability`
 """
 
 from __future__ import annotations
 
 import ast
 import functools
+import json
 import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "hard_cases.md"
+ROWS = ROOT / "mrbatch" / "stability" / "rows.json"
 LEFT_OUT = "left out: "
 
 
@@ -66,5 +69,26 @@ def written(page: Path = PAGE) -> str:
     return "\n".join(lines) + "\n"
 
 
+def exported(page: Path = PAGE) -> str:
+    """The rows of the page as the product reads them, with the tests that there are."""
+    tests, found = marked(), []
+    for name, cells in rows(page).items():
+        # A trap has no column of how near: what ours gives stands in the one before.
+        case, answer, *near, last = cells[1:]
+        out = last.removeprefix(LEFT_OUT) if last.startswith(LEFT_OUT) else ""
+        found.append(
+            {
+                "name": name,
+                "case": case,
+                "answer": answer,
+                "near": near[0] if near else "",
+                "tests": tests.get(name, []),
+                "left_out": f"left out: {out}" if out else "",
+            }
+        )
+    return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
+
+
 if __name__ == "__main__":
     PAGE.write_text(written(), encoding="utf-8")
+    ROWS.write_text(exported(), encoding="utf-8")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hard_cases import LEFT_OUT, cell, marked, rows
+from hard_cases import LEFT_OUT, ROWS, cell, exported, marked, rows
 
 COUNTS = {"GEO": 9, "BSDF": 10, "ENV": 9, "MIS": 6, "MC": 8, "RNG": 7, "DPT": 21, "MRK": 8, "IO": 8}
 TRAPS = ("1", *(f"1{c}" for c in "abcdefghijk"), "2", *(f"2{c}" for c in "abcdefgh"), "3")
@@ -31,6 +31,16 @@ def test_a_row_has_its_tests_or_a_reason(row):
     else:
         assert tests, f"no test carries the mark of {row}"
         assert told == cell(tests), "run: python tests/hard_cases.py"
+
+
+def test_the_product_knows_the_rows_of_the_page():
+    assert ROWS.read_text(encoding="utf-8") == exported(), "run: python tests/hard_cases.py"
+
+
+def test_cases_of_the_product_name_rows_of_the_page():
+    from mrbatch.stability.catalogue import covered
+
+    assert not covered() - set(EVERY)
 
 
 def test_marks_are_read_as_pytest_reads_them(pytestconfig):

@@ -109,6 +109,8 @@ def render_html(
         measured=sorted({name for f in report.frames for name in f.numbers}),
         outcomes=any(f.outcome not in ("fixed", "none") for f in report.frames),
         leading=_leading(report),
+        tried=sorted((c for c in report.cases if c.outcome != "skipped"), key=lambda c: c.passed),
+        untried=[c for c in report.cases if c.outcome == "skipped"],
         settings=json.dumps(report.job.settings, indent=2, ensure_ascii=False, default=str),
     )
 

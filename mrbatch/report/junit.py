@@ -1,4 +1,4 @@
-"""The report as JUnit XML, for CI: a gate is a test case, and so is a frame."""
+"""The report as JUnit XML, for CI: a gate is a test case, and so are a frame and a hard case."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FORBIDDEN = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff
 
 
 def render_junit(report: Report) -> str:
-    """The XML as text: suites `gates` and `frames`; failed frames and gates are failures."""
+    """The XML as text: suites `gates`, `cases` and `frames`; what did not pass is a failure."""
     root = ElementTree.Element("testsuites", name=_clean(report.job.name))
     classname = f"mrbatch.{report.kind}"
     if report.gates:
@@ -46,10 +46,34 @@ def render_junit(report: Report) -> str:
                 failure.text = _clean(frame.hint)
             elif frame.state == "skipped":
                 ElementTree.SubElement(case, "skipped", message=_clean(frame.message))
+    if report.cases:
+        _cases(root, report, f"{classname}.cases")
     for key in ("tests", "failures", "skipped"):
         root.set(key, str(sum(int(suite.get(key, "0")) for suite in root)))
     ElementTree.indent(root)
     return "<?xml version='1.0' encoding='utf-8'?>\n" + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _cases(root: ElementTree.Element, report: Report, classname: str) -> None:
+    failed = sum(not case.passed for case in report.cases)
+    skipped = sum(case.outcome == "skipped" for case in report.cases)
+    suite = _suite(root, "cases", len(report.cases), failed, skipped)
+    for one in report.cases:
+        name = " ".join(filter(None, (one.name, one.owner, one.title)))
+        case = ElementTree.SubElement(suite, "testcase", classname=classname, name=_clean(name))
+        if one.seconds is not None:
+            case.set("time", f"{one.seconds.value:.6f}")
+        told = [f"measured {one.measured}", f"oracle {one.oracle}", f"tolerance {one.tolerance}"]
+        if len(one.attempts) > 1:
+            told += [f"seed {a.seed}: {a.outcome}, {a.measured}" for a in one.attempts]
+        if not one.passed:
+            message = one.reason or one.outcome
+            failure = ElementTree.SubElement(case, "failure", message=_clean(message), type=one.outcome)
+            failure.text = _clean("\n".join(told))
+        elif one.outcome == "skipped":
+            ElementTree.SubElement(case, "skipped", message=_clean(one.reason))
+        else:
+            ElementTree.SubElement(case, "system-out").text = _clean("\n".join(told))
 
 
 def write_junit(report: Report, path: Path) -> None:

@@ -19,7 +19,7 @@ from mrbatch.contracts import State
 from mrbatch.errors import InputError, Place, ResourceError
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 1
+SCHEMA_MINOR = 2
 SCHEMA = f"{SCHEMA_MAJOR}.{SCHEMA_MINOR}"
 """Major: what a name means has changed. Minor: names were added, which older readers leave out."""
 MAX_BYTES = 1 << 28
@@ -209,6 +209,38 @@ class Gate(_Model):
     frame: int | None = None
 
 
+Outcome = Literal["passed", "failed", "inconclusive", "skipped"]
+
+
+class Attempt(_Model):
+    seed: int
+    outcome: Outcome
+    measured: str = ""
+
+
+class HardCase(_Model):
+    """A hard case; `name`: the row of the catalogue; `owner`: the method it is of, or none where shared.
+    `reason`: why it failed or was skipped. `attempts`: one a seed that it was tried on."""
+
+    name: str
+    outcome: Outcome
+    owner: str = ""
+    title: str = ""
+    setup: str = ""
+    oracle: str = ""
+    tolerance: str = ""
+    measured: str = ""
+    reason: str = ""
+    rows: tuple[str, ...] = ()
+    tests: tuple[str, ...] = ()
+    seconds: Value | None = None
+    attempts: tuple[Attempt, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        return self.outcome in ("passed", "skipped")
+
+
 class Fact(_Model):
     """Something that a person wants to know of the shot, in words; `meaning`: what it is."""
 
@@ -249,6 +281,7 @@ class Report(_Model):
     notes: tuple[Note, ...] = ()
     pictures: tuple[Picture, ...] = ()
     gates: tuple[Gate, ...] = ()
+    cases: tuple[HardCase, ...] = ()
     exit: int = 0
 
     def to_json(self) -> str:
@@ -257,7 +290,8 @@ class Report(_Model):
 
     @property
     def passed(self) -> bool:
-        return all(gate.passed for gate in self.gates) and not any(f.state == "failed" for f in self.frames)
+        judged = [g.passed for g in self.gates] + [c.passed for c in self.cases]
+        return all(judged) and not any(f.state == "failed" for f in self.frames)
 
 
 def save_report(report: Report, path: Path) -> None:

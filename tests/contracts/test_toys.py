@@ -267,3 +267,10 @@ def test_pipelines_may_not_share_a_buffer(write):
 
 def test_the_registry_is_left_as_it_was():
     assert "toy-silent" not in METHODS.names() and "toy-shade" in METHODS.names()
+
+
+def test_the_cases_of_a_method_are_found():
+    from mrbatch.stability.run import check_stability
+
+    report = check_stability(["*@toy-shade"])
+    assert [(c.name, c.owner, c.outcome) for c in report.cases] == [("toy", "toy-shade", "passed")]

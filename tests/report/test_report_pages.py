@@ -18,11 +18,13 @@ from mrbatch.report.html import link, render_html, timing_rows, write_html
 from mrbatch.report.junit import render_junit
 from mrbatch.report.markdown import render_markdown
 from mrbatch.report.model import (
+    Attempt,
     Effect,
     Fact,
     File,
     Frame,
     Gate,
+    HardCase,
     Job,
     Note,
     Picture,
@@ -74,6 +76,21 @@ def hostile_report() -> Report:
         notes=(Note(level="error", text=HOSTILE),),
         pictures=(Picture(role="composite", path=HOSTILE, frame=1, view=HOSTILE, caption=HOSTILE),),
         gates=(Gate(name=HOSTILE, passed=False, text=HOSTILE, measured=value, limit=value),),
+        cases=tuple(hostile_case(outcome) for outcome in ("failed", "inconclusive", "passed", "skipped")),
+    )
+
+
+def hostile_case(outcome) -> HardCase:
+    texts = dict.fromkeys(("name", "owner", "title", "setup", "oracle", "tolerance", "measured"), HOSTILE)
+    attempts = (Attempt(seed=1, outcome=outcome, measured=HOSTILE),) * 2
+    return HardCase(
+        outcome=outcome,
+        reason=HOSTILE,
+        rows=(HOSTILE,),
+        tests=(HOSTILE,),
+        seconds=Value(value=1, unit=HOSTILE),
+        attempts=attempts,
+        **texts,
     )
 
 
@@ -329,7 +346,8 @@ def test_junit_counts_gates_and_frames():
 
 def test_junit_of_hostile_text_is_well_formed():
     root = ElementTree.fromstring(render_junit(hostile_report()).encode())
-    assert {e.tag for e in root.iter()} <= {"testsuites", "testsuite", "testcase", "failure", "system-out"}
+    known = {"testsuites", "testsuite", "testcase", "failure", "system-out", "skipped"}
+    assert {e.tag for e in root.iter()} <= known
 
 
 def test_markdown_of_hostile_text_adds_no_markup():

@@ -5,4 +5,4 @@ from __future__ import annotations
 from mrbatch.contracts import Case
 from mrbatch.methods.light_change_cases import light_change_cases
 
-CASES: tuple[Case, ...] = light_change_cases("two-pass")
+CASES: tuple[Case, ...] = light_change_cases("two-pass", quick=False)
