@@ -7,7 +7,6 @@ switch `camera`), so points under them can be looked at from above.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,14 +15,11 @@ import numpy as np
 
 from mrbatch.contracts import Measurement, Method
 from mrbatch.methods.estimate import estimate
+from mrbatch.metrics.judging import Numbers, mean_within
 from mrbatch.scene.closed_forms import look_at
 from mrbatch.scene.scene import Scene
 
 SIDE = 8
-SIGMAS = 4.0
-CONFIDENCE = 0.99
-POWER = 0.01
-"""Share of the oracle that a measurement must be able to tell, where a case does not say another."""
 _NARROW = 2.0**-12
 """Width of the picture relative to the distance: what it shows varies by less than the noise."""
 
@@ -75,46 +71,22 @@ def probe(
 
 
 def judge(
-    found: np.ndarray | float,
-    error: np.ndarray | float,
-    oracle: np.ndarray | float,
+    found: Numbers,
+    error: Numbers,
+    oracle: Numbers,
     tolerance: float,
     *,
     sees: float | None = None,
     probes: Sequence[Probe] = (),
-    observations: int = SIDE * SIDE,
 ) -> Measurement:
-    """Whether |found - oracle| stays within the tolerance plus four standard errors, everywhere.
-
-    And whether that could have told a difference of `sees` (an amount; by default 1 % of the oracle, but at
-    least the tolerance): the 99 % interval of the difference must lie within it, else the measurement is
-    inconclusive. `observations`: how many independent ones each error is of. `probes`: what was looked at.
-    """
-    found, error, oracle = np.broadcast_arrays(
-        *(np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in (found, error, oracle))
-    )
-    finite = np.isfinite(found) & np.isfinite(error)
-    difference = np.where(finite, found - oracle, np.inf)
-    excess = np.abs(difference) - tolerance - SIGMAS * np.where(finite, error, 0.0)
-    span = np.maximum(tolerance, POWER * np.abs(oracle) if sees is None else np.full(oracle.shape, sees))
-    blind = np.abs(difference) + _quantile(observations) * np.where(finite, error, 0.0) - span
-    passed, conclusive = bool(np.all(excess <= 0.0)), bool(np.all(blind <= 0.0))
-    worst = int(np.argmax(blind if passed else excess))
-    told = f"{tolerance:g} + {SIGMAS:g} SE"
-    return Measurement(
-        passed=passed,
-        measured=f"{found.flat[worst]:+.6f} (SE {error.flat[worst]:.1e})",
-        oracle=f"{oracle.flat[worst]:+.6f}",
-        tolerance=f"{told}; tells {span.flat[worst]:.2g}" if np.any(error > 0) else f"{tolerance:g}",
-        conclusive=conclusive,
+    """`mean_within` of what probes measured; `probes`: which, so that no value in them is overlooked."""
+    return mean_within(
+        found,
+        error,
+        oracle,
+        tolerance,
+        sees=sees,
+        observations=SIDE * SIDE,
         radiance=tuple(p.seen for p in probes),
         signed=tuple(p.pixels for p in probes),
     )
-
-
-@functools.cache
-def _quantile(observations: int) -> float:
-    """Student's quantile of a two-sided interval of 99 %."""
-    from scipy.stats import t
-
-    return float(t.isf(0.5 * (1.0 - CONFIDENCE), observations - 1))

@@ -18,6 +18,8 @@ _COARSE_ROWS, _COARSE_COLUMNS = 32, 64
 _FINE_ROWS, _FINE_COLUMNS = 128, 256
 _ROW_BLOCK = 32
 _CONE_BLOCK = 256
+_CUT_NODES = 20
+"""Nodes each way in a cell that the horizon cuts: its kink keeps a rule of 8 off by 4e-6 of the whole."""
 _ROUNDING = 1e-9
 """Relative room for float64 rounding in what must be a bound; sums of millions err by less."""
 
@@ -117,7 +119,7 @@ class EnvironmentIntegrals:
     def _cut_cells(self, row: np.ndarray, column: np.ndarray, normal: np.ndarray) -> np.ndarray:
         if row.size == 0:
             return np.zeros(3)
-        x, w = _gauss_legendre(8)
+        x, w = _gauss_legendre(_CUT_NODES)
         height = np.diff(self.theta)[row, None]
         step = np.abs(np.diff(self.phi))[column, None]
         theta = self.theta[row, None] + height * x

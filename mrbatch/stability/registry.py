@@ -9,7 +9,16 @@ from mrbatch.capture.registry import Registry
 from mrbatch.contracts import Case
 from mrbatch.methods.registry import METHODS, PARTICIPANTS
 
-FAMILIES: Registry[tuple[Case, ...]] = Registry("family of cases", {})
+FAMILIES: Registry[tuple[Case, ...]] = Registry(
+    "family of cases",
+    {
+        "environment": "mrbatch.stability.environment_cases:CASES",
+        "random": "mrbatch.stability.random_cases:CASES",
+        "scattering": "mrbatch.stability.scattering_cases:CASES",
+        "sum": "mrbatch.stability.sum_cases:CASES",
+        "weight": "mrbatch.stability.weight_cases:CASES",
+    },
+)
 """Cases of what several methods share, by the module that holds them."""
 
 

@@ -7,7 +7,11 @@ import time
 import numpy as np
 import pytest
 import warp as wp
-from map_statistics import (
+
+from mrbatch.kernels.environment import EnvironmentData, make_environment
+from mrbatch.scene.environment import Environment, load_environment, rotation_from_yaw
+from mrbatch.scene.environment_alias import PARTS, alias_table, fill_buckets, whole_parts
+from mrbatch.stability.map_statistics import (
     bins_of,
     chi_square,
     directions,
@@ -17,10 +21,6 @@ from map_statistics import (
     reference,
     sphere_grid,
 )
-
-from mrbatch.kernels.environment import EnvironmentData, make_environment
-from mrbatch.scene.environment import Environment, load_environment, rotation_from_yaw
-from mrbatch.scene.environment_alias import PARTS, alias_table, fill_buckets, whole_parts
 
 TURN = rotation_from_yaw(0.4) @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from map_statistics import (
+from held import holds
+
+from mrbatch.kernels.environment import make_environment
+from mrbatch.scene.environment import Environment, load_environment, rotation_from_yaw
+from mrbatch.stability import environment_cases
+from mrbatch.stability.environment_cases import SHAPES, SPECIAL
+from mrbatch.stability.map_draws import draw, lamp, look
+from mrbatch.stability.map_statistics import (
     bins_of,
     chi_square,
     directions,
@@ -17,81 +24,8 @@ from map_statistics import (
     sphere_grid,
 )
 
-from mrbatch.kernels.environment import EnvironmentData, make_environment
-from mrbatch.scene.environment import Environment, load_environment, rotation_from_yaw
-
 wp.config.quiet = True
-SHAPES = [(1, 1), (1, 2), (5, 3), (1, 7), (2, 2), (8, 16), (33, 65)]
 MAPS = ["st_fagans_interior_1k", "lebombo_1k", "rooitou_park_1k", "moonless_golf_1k"]
-
-
-def make_kernels(interpolation, sampler):
-    functions = make_environment(interpolation, sampler)
-    radiance, pdf, sample = functions.radiance, functions.pdf, functions.sample
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def look(
-        env: EnvironmentData,
-        d: wp.array(dtype=wp.vec3),
-        light: wp.array(dtype=wp.vec3),
-        density: wp.array(dtype=float),
-    ):
-        i = wp.tid()
-        light[i] = radiance(env, d[i])
-        density[i] = pdf(env, d[i])
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def draw(
-        env: EnvironmentData,
-        bits: wp.array(dtype=wp.vec2ui),
-        d: wp.array(dtype=wp.vec3),
-        light: wp.array(dtype=wp.vec3),
-        density: wp.array(dtype=float),
-    ):
-        i = wp.tid()
-        s = sample(env, bits[i])
-        d[i] = s.direction
-        light[i] = radiance(env, s.direction)
-        density[i] = s.pdf
-
-    return look, draw
-
-
-KERNELS = {name: make_kernels(name, "cdf") for name in ("bilinear", "nearest")}
-
-
-def look(environment, d):
-    """Radiance (n, 3) and density (n,) in world directions (n, 3)."""
-    d = wp.array(np.ascontiguousarray(d, dtype=np.float32), dtype=wp.vec3, device="cpu")
-    light, density = wp.zeros_like(d), wp.zeros(len(d), dtype=float, device="cpu")
-    kernel = KERNELS[environment.interpolation][0]
-    wp.launch(kernel, len(d), inputs=[environment.upload(), d], outputs=[light, density], device="cpu")
-    return light.numpy(), density.numpy()
-
-
-def draw(environment, u):
-    """Directions, radiance, density for u (n, 2) float64; numbers of 32 bits when `u` is a count."""
-    if isinstance(u, int):
-        bits = np.random.default_rng(99).integers(0, 2**32, size=(u, 2))
-        u = (bits + 0.5) * 2.0**-32
-    bits = np.floor(np.ascontiguousarray(u, dtype=np.float64) * 2.0**32).astype(np.uint32)
-    u = wp.array(bits, dtype=wp.vec2ui, device="cpu")
-    d = wp.zeros(len(u), dtype=wp.vec3, device="cpu")
-    light, density = wp.zeros_like(d), wp.zeros(len(u), dtype=float, device="cpu")
-    kernel = KERNELS[environment.interpolation][1]
-    wp.launch(kernel, len(u), inputs=[environment.upload(), u], outputs=[d, light, density], device="cpu")
-    return d.numpy(), light.numpy(), density.numpy()
-
-
-def lamp(height, width, row, column, value=1.0):
-    image = np.zeros((height, width, 3), dtype=np.float32)
-    image[row, column] = value
-    return image
-
-
-SPECIAL = np.array(
-    [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [-1, 1e-7, 0], [-1, -1e-7, 0], [0, 1, 0], [1e-4, 0, 1]]
-)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -120,13 +54,7 @@ def test_nearest_follows_the_convention():
 @pytest.mark.parametrize("shape", SHAPES)
 def test_constant_map_has_constant_density(shape, interpolation):
     """ENV-04: p = 1 / (4 pi) to 1e-6, at the poles too (TRAP-2d: without sine 326 times too dense)."""
-    environment = Environment(np.full((*shape, 3), 0.7, dtype=np.float32), interpolation=interpolation)
-    d, light, density = draw(environment, 20000)
-    assert np.abs(density * 4.0 * np.pi - 1.0).max() < 1e-6
-    assert np.allclose(light, 0.7, rtol=1e-6)
-    assert np.abs(np.linalg.norm(d, axis=1) - 1.0).max() < 3e-7
-    _, density = look(environment, np.concatenate([directions(2000), SPECIAL]))
-    assert np.abs(density * 4.0 * np.pi - 1.0).max() < 1e-6
+    holds(environment_cases.odd_sizes(0, shapes=[shape], interpolations=(interpolation,)))
 
 
 @pytest.mark.case("TRAP-2d")
@@ -217,40 +145,14 @@ def test_stored_sample_map_never_draws_most_texels():
 @pytest.mark.case("TRAP-2b")
 def test_samples_lie_on_lamps_beside_the_seam():
     """TRAP-2b: a linear read of stored directions invents some between lamps at azimuth +-179 deg."""
-    width = 360
-    image = lamp(180, width, 90, 0) + lamp(180, width, 90, width - 1)
-    d, light, density = draw(Environment(image), 20000)
-    azimuth = np.degrees(np.arctan2(d[:, 1].astype(np.float64), d[:, 0]))
-    assert (np.abs(azimuth) > 178.0 - 1e-4).all()
-    assert (light.max(axis=1) >= 0.0).all() and (density > 0.0).all()
+    holds(environment_cases.seam(0))
     stored = np.array([179.5, -179.5])
     assert abs(stored.mean()) < 1.0, "printed: half way between the two is the other side of the world"
 
 
 @pytest.mark.case("ENV-02")
 def test_no_draw_where_no_light_is():
-    """ENV-02: black rows are never drawn, u = 0 included; a black map gives density and radiance 0."""
-    image = random_map(16, 32)
-    image[:5] = 0.0
-    image[12:] = 0.0
-    image[:, :7] = 0.0
-    environment = Environment(image, "centres")
-    u = np.random.default_rng(0).random((50000, 2))
-    u[:200, 0] = 0.0
-    u[100:300, 1] = 0.0
-    u[300:400] = 1.0 - 2.0**-33
-    d, light, density = draw(environment, u)
-    x, v = house_uv(d)
-    assert (v > 4.5 / 16 - 1e-6).all() and (v < 12.5 / 16 + 1e-6).all()
-    assert ((x > 6.5 / 32 - 1e-6) | (x < 0.5 / 32 + 1e-6)).all()
-    assert (density > 0.0).all() and np.isfinite(light).all()
-    # u = 0 is the rim of the first lit cell, where the tent is still 0.
-    assert (light[400:].max(axis=1) > 0.0).mean() > 0.999
-    dark = Environment(np.zeros((4, 8, 3), dtype=np.float32))
-    d, light, density = draw(dark, 1000)
-    assert (light == 0.0).all() and (density == 0.0).all() and np.isfinite(d).all()
-    light, density = look(dark, directions(100))
-    assert (light == 0.0).all() and (density == 0.0).all()
+    holds(environment_cases.black_parts(0))
 
 
 def test_density_is_positive_wherever_light_is():
@@ -262,73 +164,33 @@ def test_density_is_positive_wherever_light_is():
 
 
 @pytest.mark.case("ENV-01")
-@pytest.mark.parametrize("normal", [[0, 0, 1], [1, 0, 0], [0.6, 0, 0.8]])
+@pytest.mark.parametrize("normal", [(0, 0, 1), (1, 0, 0), (0.6, 0, 0.8)])
 def test_two_strong_texels(normal):
-    """ENV-01: irradiance by light samples against a float64 sum on a dense grid."""
-    image = np.full((32, 64, 3), 1e-3, dtype=np.float32)
-    image[6, 31] = image[9, 33] = 1e5
-    d, light, density = draw(Environment(image), 400000)
-    cosine = np.maximum(d @ np.array(normal, dtype=np.float32), 0.0)
-    mean, error = mean_and_error(light[:, 0] * cosine / density.astype(np.float64))
-    grid_d, weight = sphere_grid(1024, 2048)
-    value = reference(image, "centres", grid_d)[:, 0] * np.maximum(grid_d @ np.array(normal), 0.0)
-    assert abs(mean / (value * weight).sum() - 1.0) < 1e-3 + 4.0 * error / mean
+    holds(environment_cases.strong_texels(0, normals=(normal,)))
 
 
 @pytest.mark.case("ENV-06", "TRAP-2c")
 def test_lamp_on_black_by_light_samples_alone():
-    """ENV-06 and TRAP-2c: bilinear radiance with a density constant in the texel loses 43.75 %.
-
-    A lamp of one texel on the equator has the tent's integral, one texel's solid angle times L.
-    """
+    """ENV-06 and TRAP-2c: bilinear radiance with a density constant in the texel loses 43.75 %."""
+    holds(environment_cases.lamp_on_black(0))
     height, width, row = 65, 128, 32
-    image = lamp(height, width, row, 40, 7.0)
-    d, light, density = draw(Environment(image), 400000)
-    # The tent over theta against sine: a second difference of the sine.
-    step = np.pi / height
-    centre = (row + 0.5) * step
-    omega = 2 * np.pi / width * (2 * np.sin(centre) - np.sin(centre - step) - np.sin(centre + step)) / step
-    mean, error = mean_and_error(light[:, 0] / density.astype(np.float64))
-    assert abs(mean / (7.0 * omega) - 1.0) < 1e-3 + 4.0 * error / mean
-    assert error / mean < 2e-3
     u = np.random.default_rng(0).random((200000, 2))
-    theta = (row + u[:, 0]) * step
+    theta = (row + u[:, 0]) * np.pi / height
     phi = 2 * np.pi * (0.5 - (40 + u[:, 1]) / width)
     inside = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
-    printed = reference(image, "centres", inside)[:, 0].mean() / 7.0
+    printed = reference(lamp(height, width, row, 40, 7.0), "centres", inside)[:, 0].mean() / 7.0
     assert abs(printed - 0.5625) < 0.005
 
 
 @pytest.mark.case("ENV-07")
 @pytest.mark.parametrize("degrees", [0.0, 90.0, 37.3, -180.0])
 def test_turned_map_is_a_turned_world(degrees):
-    """ENV-07, with a lamp on the seam."""
-    image = random_map(16, 31) + lamp(16, 31, 8, 0, 5.0) + lamp(16, 31, 8, 30, 5.0)
-    yaw = np.radians(degrees)
-    c, s = np.cos(yaw), np.sin(yaw)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    d = directions(20000).astype(np.float64)
-    plain = look(Environment(image), d)[0]
-    turned = look(Environment(image, world_from_map=rotation_from_yaw(yaw)), d @ turn.T)[0]
-    assert np.abs(plain - turned).max() < 2e-4
-    u = np.random.default_rng(1).random((5000, 2))
-    before, after = draw(Environment(image), u), draw(Environment(image, world_from_map=turn), u)
-    assert np.abs(before[0] @ turn.T - after[0]).max() < 1e-6
-    assert np.allclose(before[1], after[1], rtol=1e-4, atol=1e-4) and np.array_equal(before[2], after[2])
+    holds(environment_cases.turned(0, degrees=(degrees,)))
 
 
 @pytest.mark.case("ENV-08")
-@pytest.mark.parametrize(("row", "column"), [(3, 0), (20, 63), (31, 12)])
-@pytest.mark.parametrize("rows", ["centres", "endpoints"])
-def test_lamp_is_where_the_house_formula_says(row, column, rows):
-    """ENV-08: no flip in either axis; the look-up peaks at the node, samples gather round it."""
-    environment = Environment(lamp(32, 64, row, column), rows)
-    phi = 2.0 * np.pi * (0.5 - (column + 0.5) / 64)
-    theta = np.pi * ((row + 0.5) / 32 if rows == "centres" else row / 31)
-    d = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-    assert abs(look(environment, d[None])[0][0, 0] - 1.0) < 2e-5
-    found = draw(environment, 4000)[0].astype(np.float64)
-    assert (found @ d > np.cos(2.0 * np.sqrt(2.0) * np.pi / 32)).all()
+def test_lamp_is_where_the_house_formula_says():
+    holds(environment_cases.lamp_direction(0))
 
 
 def test_inversion_equals_a_search():

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
+from held import holds
 
 from mrbatch.kernels import numerics as nm
+from mrbatch.stability import weight_cases
 
 wp.config.quiet = True
 
@@ -30,23 +32,6 @@ def _basis(n: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.mat33), back: wp.a
     out[i] = m
     v = wp.vec3(0.25, -0.5, 0.125)
     back[i] = nm.to_local(m, nm.to_world(m, v)) - v
-
-
-@wp.kernel(enable_backward=False)
-def _weights(
-    na: wp.array(dtype=float),
-    a: wp.array(dtype=float),
-    nb: wp.array(dtype=float),
-    b: wp.array(dtype=float),
-    out: wp.array2d(dtype=float),
-):
-    i = wp.tid()
-    out[i, 0] = nm.balance_heuristic(a[i], b[i])
-    out[i, 1] = nm.power_heuristic(a[i], b[i])
-    out[i, 2] = nm.balance_heuristic_counts(na[i], a[i], nb[i], b[i])
-    # As printed, in float32.
-    out[i, 3] = a[i] / (a[i] + b[i])
-    out[i, 4] = a[i] * a[i] / (a[i] * a[i] + b[i] * b[i])
 
 
 @wp.kernel(enable_backward=False)
@@ -148,62 +133,24 @@ def test_basis_is_a_rotation_with_n_as_third_column():
 
 @pytest.mark.case("MIS-01", "TRAP-2")
 def test_weights_sum_to_one_over_the_whole_range():
-    """MIS-01: 1e6 pairs with densities 0..1e38 and inf, counts 0..1e3; sum is 1 within 4 units."""
-    rng = np.random.default_rng(5)
-    count = 1_000_000
-    a, b = (10.0 ** rng.uniform(-38, 38, (2, count))).astype(np.float32)
-    na, nb = rng.integers(0, 1000, (2, count)).astype(np.float32)
-    for values in (a, b):
-        values[rng.random(count) < 0.02] = np.inf
-        values[rng.random(count) < 0.02] = 0.0
-    near = rng.random(count) < 0.5
-    b[near] = a[near] * rng.uniform(0.5, 2.0, near.sum()).astype(np.float32)
-    b[np.isnan(b)] = 0.0
-    forth = run(_weights, [na, a, nb, b], (count, 5), float)
-    back = run(_weights, [nb, b, na, a], (count, 5), float)
-    ulp = np.spacing(np.float32(1.0))
-    some = (a > 0) | (b > 0)
-    for column in (0, 1):
-        w = forth[:, column] + back[:, column]
-        assert np.isfinite(forth[:, column]).all()
-        assert np.abs(w[some] - 1.0).max() <= 4 * ulp
-        assert (w[~some] == 0.0).all()
-    some = ((a > 0) & (na > 0)) | ((b > 0) & (nb > 0))
-    w = forth[:, 2] + back[:, 2]
-    assert np.abs(w[some] - 1.0).max() <= 4 * ulp
-    assert (w[~some] == 0.0).all()
-    # The printed forms: 0/0, inf/inf and overflow.
-    assert np.isnan(forth[:, 3]).any()
-    assert np.isnan(forth[:, 4]).mean() > 0.1
+    """MIS-01; the printed forms, in float32, meet 0/0, inf/inf and overflow."""
+    holds(weight_cases.sums(5))
+    _, a, _, b = weight_cases.wide_pairs(5)
+    with np.errstate(all="ignore"):
+        assert np.isnan(a / (a + b)).any()
+        assert np.isnan(a * a / (a * a + b * b)).mean() > 0.1
 
 
 @pytest.mark.case("MIS-04")
 def test_weights_equal_float64():
-    """MIS-04 too: the power heuristic at 1e20, where p^2 leaves float32."""
-    rng = np.random.default_rng(6)
-    a, b = (10.0 ** rng.uniform(15, 25, (2, 100000))).astype(np.float32)
-    na, nb = rng.integers(1, 1000, (2, a.size)).astype(np.float32)
-    got = run(_weights, [na, a, nb, b], (a.size, 5), float).astype(np.float64)
-    A, B, NA, NB = (v.astype(np.float64) for v in (a, b, na, nb))
-    tiny = np.finfo(np.float32).tiny
-    assert np.allclose(got[:, 0], A / (A + B), rtol=1e-6, atol=tiny)
-    assert np.allclose(got[:, 1], 1.0 / (1.0 + (B / A) ** 2), rtol=1e-6, atol=tiny)
-    assert np.allclose(got[:, 2], NA * A / (NA * A + NB * B), rtol=1e-6, atol=tiny)
-    assert np.isnan(got[:, 4]).any()
+    """MIS-04: the power heuristic at 1e20, where p^2 leaves float32."""
+    holds(weight_cases.strong(6))
 
 
 @pytest.mark.case("MIS-02", "MIS-03")
 def test_special_weights():
     """MIS-03 and deltas: 0 against 0 is 0, a delta against a density 1, none drawn 0."""
-    inf = np.inf
-    na = np.array([1, 1, 1, 1, 0, 1])
-    a = np.array([0, inf, 1, inf, inf, 1])
-    nb = np.array([1, 1, 1, 1, 1, 0])
-    b = np.array([0, 1, inf, inf, 1, inf])
-    got = run(_weights, [na, a, nb, b], (6, 5), float)
-    assert got[:4, 0].tolist() == [0.0, 1.0, 0.0, 0.5]
-    assert got[:4, 1].tolist() == [0.0, 1.0, 0.0, 0.5]
-    assert got[:, 2].tolist() == [0.0, 1.0, 0.0, 0.5, 0.0, 1.0]
+    holds(weight_cases.special(0))
 
 
 def test_arctangent_equals_numpy():

@@ -5,123 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
+from held import holds
 from scipy import stats
 
 from mrbatch.kernels import rng
+from mrbatch.stability import random_cases
+from mrbatch.stability.random_cases import LAST
+from mrbatch.stability.random_draws import KINDS, draw, draw_start, keys, pixel_keys
 
 wp.config.quiet = True
-LAST = 1.0 - 2.0**-24
-KINDS = ("owen", "independent", "cranley-patterson")
-
-
-def make_kernels(sampler: rng.Sampler):
-    one, two, bits = sampler.sample_1d, sampler.sample_2d, sampler.sample_2d_bits
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def draw(
-        key: wp.array(dtype=wp.uint64),
-        index: wp.array(dtype=int),
-        dimension: wp.array(dtype=int),
-        a: wp.array(dtype=float),
-        b: wp.array(dtype=wp.vec2),
-        c: wp.array(dtype=wp.vec2ui),
-    ):
-        i = wp.tid()
-        a[i] = one(key[i], index[i], dimension[i])
-        b[i] = two(key[i], index[i], dimension[i])
-        c[i] = bits(key[i], index[i], dimension[i])
-
-    return draw
-
-
-KERNELS = {kind: make_kernels(rng.make_sampler(kind)) for kind in KINDS}
-
-
-def make_start_kernel(sampler: rng.Sampler):
-    sample_start, sample_vertex = sampler.sample_start, sampler.sample_vertex
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def draw(
-        key: wp.array(dtype=wp.uint64),
-        index: wp.array(dtype=int),
-        pixel: int,
-        vertex: int,
-        out: wp.array2d(dtype=wp.vec2ui),
-    ):
-        i = wp.tid()
-        start = sample_start(key[i], index[i], pixel, vertex)
-        alone = sample_vertex(key[i], index[i], vertex)
-        out[i, 0] = start.pixel
-        out[i, 1] = start.vertex.light
-        out[i, 2] = start.vertex.scatter
-        out[i, 3] = alone.light
-        out[i, 4] = alone.scatter
-
-    return draw
-
-
-START_KERNELS = {kind: make_start_kernel(rng.make_sampler(kind)) for kind in KINDS}
-
-
-@wp.kernel(enable_backward=False)
-def _keys(words: wp.array2d(dtype=int), out: wp.array(dtype=wp.uint64)):
-    i = wp.tid()
-    out[i] = rng.pixel_key(
-        wp.uint32(words[i, 0]), words[i, 1], words[i, 2], words[i, 3], words[i, 4], words[i, 5]
-    )
-
-
-@wp.kernel(enable_backward=False)
-def _convert(x: wp.array(dtype=wp.uint32), a: wp.array(dtype=float), b: wp.array(dtype=wp.float64)):
-    i = wp.tid()
-    a[i] = rng.uint_to_float(x[i])
-    b[i] = rng.uint_to_double(x[i])
-
-
-def draw(kind, key, index, dimension):
-    """(n,) float, (n, 2) float, (n, 2) float64 with all 32 bits, of broadcast key, index and dimension."""
-    key, index, dimension = np.broadcast_arrays(key, index, dimension)
-    shape, count = key.shape, key.size
-    a = wp.zeros(count, dtype=float, device="cpu")
-    b = wp.zeros(count, dtype=wp.vec2, device="cpu")
-    c = wp.zeros(count, dtype=wp.vec2ui, device="cpu")
-    inputs = [
-        wp.array(np.ascontiguousarray(key.ravel(), dtype=np.uint64), device="cpu"),
-        wp.array(np.ascontiguousarray(index.ravel(), dtype=np.int32), device="cpu"),
-        wp.array(np.ascontiguousarray(dimension.ravel(), dtype=np.int32), device="cpu"),
-    ]
-    wp.launch(KERNELS[kind], count, inputs=inputs, outputs=[a, b, c], device="cpu")
-    precise = (c.numpy().astype(np.float64) + 0.5) * 2.0**-32
-    return a.numpy().reshape(shape), b.numpy().reshape(*shape, 2), precise.reshape(*shape, 2)
-
-
-def draw_start(kind, key, index, pixel=0, vertex=8):
-    """(..., 5, 2) uint32: numbers of the pixel, of light and scatter at its vertex, and the latter alone."""
-    key, index = np.broadcast_arrays(key, index)
-    out = wp.zeros((key.size, 5), dtype=wp.vec2ui, device="cpu")
-    inputs = [
-        wp.array(np.ascontiguousarray(key.ravel(), dtype=np.uint64), device="cpu"),
-        wp.array(np.ascontiguousarray(index.ravel(), dtype=np.int32), device="cpu"),
-        pixel,
-        vertex,
-    ]
-    wp.launch(START_KERNELS[kind], key.size, inputs=inputs, outputs=[out], device="cpu")
-    return out.numpy().reshape(*key.shape, 5, 2)
-
-
-def keys(words):
-    """Keys of rows (seed, frame, view, half, x, y)."""
-    words = np.ascontiguousarray(words, dtype=np.int32)
-    out = wp.zeros(len(words), dtype=wp.uint64, device="cpu")
-    wp.launch(_keys, len(words), inputs=[wp.array(words, device="cpu"), out], device="cpu")
-    return out.numpy()
-
-
-def pixel_keys(width, height, seed=1, frame=0, view=0, half=0, x0=0, y0=0):
-    """(height, width) keys of a block of pixels."""
-    y, x = np.mgrid[y0 : y0 + height, x0 : x0 + width]
-    rest = [np.full(x.size, v) for v in (seed, frame, view, half)]
-    return keys(np.stack([*rest, x.ravel(), y.ravel()], axis=1)).reshape(height, width)
 
 
 # --- The twin: the same integers, written in NumPy on uint64 and Python's arbitrary integers. ---
@@ -301,34 +193,17 @@ def test_independent_is_one_number_in_three_forms():
 @pytest.mark.case("RNG-03", "RNG-06", "TRAP-2g")
 def test_conversion_never_reaches_one():
     """RNG-03, RNG-06: the naive forms give 1.0, and with it column W."""
+    holds(random_cases.largest_number(0))
     x = np.array([0, 255, 256, 2**31, 2**32 - 257, 2**32 - 128, 2**32 - 1], dtype=np.uint32)
-    a = wp.zeros(x.size, dtype=float, device="cpu")
-    b = wp.zeros(x.size, dtype=wp.float64, device="cpu")
-    wp.launch(_convert, x.size, inputs=[wp.array(x, device="cpu"), a, b], device="cpu")
-    assert a.numpy().max() == LAST
-    assert np.array_equal(a.numpy(), ((x >> 8) * 2.0**-24).astype(np.float32))
-    assert np.array_equal(b.numpy(), (x + 0.5) * 2.0**-32)
-    assert b.numpy().min() > 0.0 and b.numpy().max() < 1.0
     naive = x.astype(np.float32) * np.float32(2.0**-32)
     assert (naive == 1.0).sum() == 2
-    width = np.arange(1, 65537).astype(np.float32)
-    assert (np.floor(np.float32(LAST) * width) < width).all()
     shifted = np.float32(LAST) + np.float32(2.0**-25)
     assert shifted == 1.0 and int(shifted * 1024) == 1024, "Cranley-Patterson in floats leaves the table"
 
 
 @pytest.mark.case("RNG-04")
-@pytest.mark.parametrize("k", range(13))
-def test_owen_points_fill_every_elementary_interval(k):
-    """RNG-04: the first 2^k points put exactly one in each of the 2^k boxes of every shape."""
-    n = 1 << k
-    key = pixel_keys(3, 1).ravel()[:, None, None]
-    dimension = np.array([0, 1, 77, 123456789])[None, :, None]
-    _, two, precise = draw("owen", key, np.arange(n), dimension)
-    for points in (two.astype(np.float64), precise):
-        for j in range(k + 1):
-            box = np.floor(points[..., 0] * 2**j) * 2 ** (k - j) + np.floor(points[..., 1] * 2 ** (k - j))
-            assert np.array_equal(np.sort(box, axis=-1), np.broadcast_to(np.arange(n), box.shape))
+def test_owen_points_fill_every_elementary_interval():
+    holds(random_cases.elementary_boxes(0))
 
 
 def test_later_blocks_are_nets_too():
@@ -351,37 +226,22 @@ def test_cranley_patterson_breaks_the_net():
     assert 0.3 < wrong["cranley-patterson"] < 0.6 < wrong["independent"]
 
 
-def half_products(pairs):
-    """Per pixel, the mean of [u < 1/2][v < 1/2] with u of one pair and v of another: truth 1/4."""
-    return ((pairs[0][..., 0] < 0.5) & (pairs[1][..., 0] < 0.5)).mean(axis=-1)
-
-
 @pytest.mark.case("TRAP-2f")
 def test_pairs_are_independent_of_each_other():
     """TRAP-2f: shifted copies of one sequence converge to a wrong value in every pixel."""
-    key = pixel_keys(8, 8).ravel()[:, None]
-    for kind in ("owen", "cranley-patterson"):
-        pairs = [draw(kind, key, np.arange(4096), d)[1] for d in (2, 11)]
-        assert np.abs(half_products(pairs) - 0.25).max() < 0.02
+    holds(random_cases.independent_pairs(0))
     for n in (64, 4096):
         points = stats.qmc.Sobol(2, scramble=False).random(n)
         shift = np.random.default_rng(1).random((2, 64, 1, 2))
-        printed = half_products((points + shift) % 1.0)
+        u, v = (points + shift) % 1.0
+        printed = ((u[..., 0] < 0.5) & (v[..., 0] < 0.5)).mean(axis=-1)
         assert 0.10 < printed.std() < 0.20, "no number of samples helps the printed form"
 
 
 @pytest.mark.case("RNG-05")
 @pytest.mark.parametrize("kind", KINDS)
 def test_padding_of_64_dimensions(kind):
-    """RNG-05: mean of 4 u v is 1 for u, v of any two dimensions, within 4 standard errors of MC."""
-    key = pixel_keys(1, 1, x0=17, y0=-5).ravel()[:, None]
-    _, two, _ = draw(kind, key, np.arange(4096), np.arange(64)[:, None])
-    x = two.reshape(64, 4096, 2).transpose(0, 2, 1).reshape(128, 4096).astype(np.float64)
-    products = 4.0 * (x @ x.T) / 4096
-    # u and v of one Sobol pair are a net and do better still; a dimension with itself gives 4/3.
-    off = ~np.eye(128, dtype=bool)
-    # One standard error of random numbers is 0.0138; of their 8128 pairs the worst needs five.
-    assert np.abs(products[off] - 1.0).max() < (0.055 if kind == "owen" else 0.070)
+    holds(random_cases.padding(0, kind=kind))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -409,27 +269,15 @@ def test_two_dimensions_of_one_pixel_are_jointly_uniform(kind):
 @pytest.mark.case("RNG-02")
 @pytest.mark.parametrize("kind", KINDS)
 def test_neighbours_in_pixels_frames_and_views_are_uncorrelated(kind):
-    """RNG-02: lags 1 to 8; correlation within 4 / sqrt(n), of samples and of pixel means."""
-    side = 256
-    base = pixel_keys(side, side)
+    holds(random_cases.neighbours(0, kind=kind))
 
-    def check(a, b):
-        n = a.size
-        assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4.0 / np.sqrt(n)
 
-    def values(key):
-        # The mean of few samples of a function with an edge, as a render has it, and one sample.
-        pairs = draw(kind, key.ravel()[:, None], np.arange(3), 2)[1].reshape(side, side, 3, 2)
-        return pairs[..., 0, 0], (pairs[..., 0] + pairs[..., 1] < 0.6).mean(axis=-1)
-
-    for here, image in enumerate(values(base)):
-        for lag in range(1, 9):
-            check(image[:, lag:], image[:, :-lag])
-            check(image[lag:], image[:-lag])
-            check(image, values(pixel_keys(side, side, frame=lag))[here])
-        check(image, values(pixel_keys(side, side, view=1))[here])
-        check(image, values(pixel_keys(side, side, half=1))[here])
-        check(image, values(pixel_keys(side, side, seed=2))[here])
+def test_correlated_neighbours_are_seen(monkeypatch):
+    """The half view of a picture moved by a pixel, as a key without x would give it."""
+    monkeypatch.setattr(
+        random_cases, "pixel_keys", lambda w, h, *a, **more: pixel_keys(w, h, *a)[:, :1].repeat(w, axis=1)
+    )
+    assert not random_cases.neighbours(0).passed
 
 
 def test_keys_do_not_collide_and_every_bit_counts():
@@ -460,14 +308,7 @@ def test_keys_do_not_collide_and_every_bit_counts():
 @pytest.mark.case("RNG-07")
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_repeat_far_out(kind):
-    """RNG-07: there is no table to run past; dimensions and counters up to 2^32 give fresh pairs."""
-    key = pixel_keys(1, 1).ravel()
-    dimension = np.concatenate([np.arange(100000), np.arange(-50000, 0)]).astype(np.int32)
-    pairs = draw(kind, key, 0, dimension)[2]
-    assert np.unique(pairs[:, 0] + 1j * pairs[:, 1]).size == dimension.size
-    index = np.concatenate([np.arange(100000), np.arange(2**31 - 50000, 2**31), np.arange(-50000, 0)])
-    pairs = draw(kind, key, index, 4)[2]
-    assert np.unique(pairs[:, 0] + 1j * pairs[:, 1]).size == index.size
+    holds(random_cases.far_out(0, kind=kind))
 
 
 def test_owen_beats_shifts_and_random_numbers_on_a_smooth_function():
@@ -475,7 +316,7 @@ def test_owen_beats_shifts_and_random_numbers_on_a_smooth_function():
     for Owen."""
     key = pixel_keys(32, 32, seed=5).ravel()[:, None]
     rmse = {}
-    for kind in KERNELS:
+    for kind in KINDS:
         pair = draw(kind, key, np.arange(64), 1)[2]
         error = (pair[..., 0] * pair[..., 1]).mean(axis=1) - 0.25
         rmse[kind] = np.sqrt((error**2).mean())

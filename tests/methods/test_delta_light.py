@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import warp as wp
+from held import holds
 
-from mrbatch.kernels.environment import EnvironmentData, make_environment
-from mrbatch.kernels.sampling import cosine_hemisphere
 from mrbatch.methods.delta_path_tracing import METHOD as DELTA
 from mrbatch.methods.delta_path_tracing.cases import delta_probe as probe
 from mrbatch.methods.estimate import estimate
@@ -15,60 +13,17 @@ from mrbatch.methods.one_pass import METHOD as ONE_PASS
 from mrbatch.methods.two_pass import METHOD as TWO_PASS
 from mrbatch.scene.closed_forms import ball, corner, floor, lamp_sky, look_at, real, scene_of, sky, virtual
 from mrbatch.scene.environment import Environment
-from mrbatch.scene.light_paths import PathFlags, make_paths
 from mrbatch.scene.mesh import plane
-
-N = 1_000_000
-
-
-def split_kernel(sampler):
-    paths = make_paths(PathFlags(light_sampler=sampler))
-    light_weight, scatter_weight = paths.light_weight, paths.scatter_weight
-    environment = make_environment("bilinear", sampler)
-    env_pdf, env_sample, env_radiance = environment.pdf, environment.sample, environment.radiance
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def split(
-        env: EnvironmentData,
-        bits: wp.array(dtype=wp.vec2ui),
-        u: wp.array(dtype=wp.vec2),
-        light_part: wp.array(dtype=float),
-        scatter_part: wp.array(dtype=float),
-    ):
-        """Irradiance over pi of an open plane with normal +z, by both ways of drawing."""
-        i = wp.tid()
-        pi = 3.14159265358979
-        s = env_sample(env, bits[i])
-        cosine = wp.max(s.direction[2], 0.0)
-        light_part[i] = (
-            light_weight(1, s.pdf, cosine / pi) * cosine / pi * env_radiance(env, s.direction)[0] / s.pdf
-        )
-        d = cosine_hemisphere(u[i])
-        scatter_part[i] = scatter_weight(d[2] / pi, 1, env_pdf(env, d)) * env_radiance(env, d)[0]
-
-    return split
+from mrbatch.stability import weight_cases
 
 
 @pytest.mark.case("MIS-06", "TRAP-2")
 @pytest.mark.parametrize("sampler", ["median-cut", "cdf"])
 def test_an_open_plane_under_an_even_sky_is_split_as_the_weights_say(sampler):
-    """Scattered directions bring int 2 c 4c / (4c + 1) dc = .70118 of the light, drawn ones .29882.
-
-    Dividing the sum by both counts of samples, as if they were one pool, would halve the table.
-    """
-    random = np.random.default_rng(5)
-    light = sky()
-    bits = wp.array(random.integers(0, 2**32, (N, 2)).astype(np.uint32), dtype=wp.vec2ui, device="cpu")
-    u = wp.array(random.random((N, 2), dtype=np.float32), dtype=wp.vec2, device="cpu")
-    out = [wp.zeros(N, dtype=float, device="cpu") for _ in range(2)]
-    data = light.upload()
-    light.provide(data, sampler)
-    wp.launch(split_kernel(sampler), N, [data, bits, u, *out], device="cpu")
-    drawn, scattered = (a.numpy().astype(np.float64) for a in out)
-    expected = 0.5 + np.log(5) / 8
-    assert expected == pytest.approx(0.70118, abs=1e-5)
-    for values, part in ((scattered, expected), (drawn, 1 - expected)):
-        assert abs(values.mean() - part) < 4 * values.std() / np.sqrt(N)
+    """Dividing the sum by both counts of samples, as if they were one pool, would halve the table."""
+    assert pytest.approx(0.70118, abs=1e-5) == weight_cases.SCATTERED
+    holds(weight_cases.split(5, sampler))
+    drawn, scattered = weight_cases.open_plane(5, sampler)
     assert abs(0.5 * (drawn + scattered).mean() - 1) > 0.4
 
 
