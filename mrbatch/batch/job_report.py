@@ -209,7 +209,7 @@ def _done(entry: FrameEntry, measured: Mapping[str, tuple[float, str]]) -> Frame
     return Frame(
         number=entry.frame,
         state="done",
-        outcome="fixed",
+        outcome=entry.details.get("accuracy", {}).get("outcome", "fixed"),
         time=entry.details.get("time"),
         seconds=Value(value=entry.seconds, unit="s", repetitions=1),
         error=_error(entry.details),

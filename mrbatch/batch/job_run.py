@@ -30,7 +30,7 @@ from mrbatch.batch.shot import commit_shot
 from mrbatch.batch.stand_in import write_stand_in
 from mrbatch.contracts import Progress
 from mrbatch.device.timing import TimingNode
-from mrbatch.errors import MrbatchError, worst_exit_code
+from mrbatch.errors import EXIT_GATE, MrbatchError, worst_exit_code
 from mrbatch.film.layers import empty
 from mrbatch.film.verification import verify_frame
 from mrbatch.job import select_frames
@@ -164,7 +164,10 @@ def _finish(
     distrusted = set(result.findings.corrupt) - set(result.rendered)
     notes: list[str] = []
     made: Report | None = None
-    exit_code = result.exit_code
+    missed = missed_targets(result)
+    for text in missed:
+        events(tell.Note(text))
+    exit_code = result.exit_code or (EXIT_GATE if missed else 0)
     try:
         if report and not result.interrupted:
             with timing.measure("previews"):
@@ -187,6 +190,21 @@ def _finish(
         exit_code = result.exit_code
     events(replace(result.last_event(time.perf_counter() - began), exit_code=exit_code))
     return JobOutcome(result, made, directory, exit_code)
+
+
+def missed_targets(result: RunResult) -> list[str]:
+    """Of frames that are there but not as good as the job asks for: a sentence each."""
+    found = []
+    for number, entry in sorted(result.entries.items()):
+        told = entry.details.get("accuracy")
+        if told and told["outcome"] != "reached":
+            spp, relmse, _ = told["steps"][-1]
+            why = {
+                "limit": f"at `accuracy.max_spp`, {spp:.0f} samples a pixel on average",
+                "converged-floor": "and more samples do not help: what is left is no noise",
+            }[told["outcome"]]
+            found.append(f"frame {number}: relMSE {relmse:.2g} in place of {told['target']:.2g}, {why}")
+    return found
 
 
 def _entry(prepared: Prepared, result: RunResult, timing: TimingNode, notes: list[str]) -> RunEntry:

@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 
 from mrbatch import __version__
+from mrbatch.batch.composited import half_composite, judged, laid_over
+from mrbatch.batch.error_target import ErrorTarget, Judged
 from mrbatch.batch.exposure import looks_at, pinholes
 from mrbatch.batch.framing import framed
 from mrbatch.batch.prepare import Prepared, first_cameras
 from mrbatch.device.runner import Runner
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import InputError
-from mrbatch.film.accumulator import A, D, Developed, P
-from mrbatch.film.composite import Contribution, behind_matte, composite, over
+from mrbatch.film.accumulator import Developed
+from mrbatch.film.composite import composite
 from mrbatch.film.cryptomatte import name_id
 from mrbatch.film.exr import FrameImage, ViewImage, write_frame
 from mrbatch.film.filter.apply import filtered, smoother
@@ -186,10 +188,12 @@ class ShotRenderer:
             self.scene.show(number)
         tiles = {view.name: prepared.shot.plan.tiles[number, view.name] for view in self.outputs.views}
         self.renderer.timing = timing
+        steering = self._steering(views, mattes)
         rendered = self.renderer.render(
             number,
             views,
             self.samples,
+            steering=steering,
             tiles=tiles,
             history=history,
             looks=looks_at(exposed, prepared.scene, views, self._show) if self.outputs.shutter else (),
@@ -216,7 +220,11 @@ class ShotRenderer:
                 images[view.name] = ViewImage(made, views[view.name].camera, self._cryptomatte_attributes())
                 composites[view.name] = np.stack([made["R"], made["G"], made["B"]], axis=-1)
                 window = view.window
-                noise[view.name] = noise_of(relative, changed, (window.x, window.y))
+                noise[view.name] = (
+                    noise_of(relative, changed, (window.x, window.y))
+                    if steering is None
+                    else steering.noise[view.name]
+                )
                 maps[view.name] = noise_map(relative, changed).as_dict()
         counters = timing.total_counters()
         flags = (*data.flags, *(self.exposure.flags(number) if self.outputs.shutter else ()))
@@ -237,11 +245,13 @@ class ShotRenderer:
                 "relMSE": {name: found.relmse for name, found in noise.items()},
                 "interval": {name: found.interval for name, found in noise.items()},
                 "of": "noise, where something virtual changes the picture, from two halves of the samples; "
-                "95 % interval, from 16x16 tiles",
+                "95 % interval" + (", from 16x16 tiles" if steering is None else ""),
             },
             "versions": self._versions,
             "flags": list(flags),
         }
+        if steering is not None:
+            metadata["accuracy"] = steering.as_dict()
         if self._smooth is not None:
             metadata["filter"] = {
                 "kind": job.output.filter.kind,
@@ -270,18 +280,40 @@ class ShotRenderer:
             "units_per_launch": self.runner.units_per_launch or "by number of units and threads",
             "error": worst.relmse,
             "error_interval": worst.interval,
-            "samples": self.samples,
+            "samples": self.samples if steering is None else round(steering.steps[-1].spp),
             "display": list(image.display),
             "window": list(astuple(image.data_window)),
             "changed_pixels": worst.pixels,
             "noise": maps,
             "timing": timing.as_dict(),
         }
+        if steering is not None:
+            details["accuracy"] = steering.as_dict()
         return RenderedFrame(image, counters, seconds, rendered.history or None, details, composites)
 
     @property
     def samples(self) -> int:
         return int(getattr(self.prepared.job.method, "spp", 2))
+
+    def _steering(
+        self, views: Mapping[str, ViewInput], mattes: Mapping[str, np.ndarray | None]
+    ) -> ErrorTarget | None:
+        """What decides over the samples, where the job asks for an error."""
+        job = self.prepared.job
+        if job.accuracy.target_error is None:
+            return None
+
+        def judge(name: str, sources: Mapping[str, Developed]) -> Judged:
+            return judged(views[name].background, mattes[name], sources)
+
+        return ErrorTarget(
+            job.accuracy.target_error,
+            {view.name: view.window for view in self.outputs.views},
+            judge,
+            batch=max(source.pipeline.batch for source in self.renderer.sources),
+            limit=job.accuracy.max_spp // 2,
+            unit=1 if job.shutter is None or not self.outputs.shutter else job.shutter.samples,
+        )
 
     def _estimates(
         self,
@@ -297,9 +329,9 @@ class ShotRenderer:
         """
         sources = rendered.estimates[view.name]
         developed = sources["method"]
-        sampled = laid = _laid(sources, matte)
+        sampled = laid = laid_over(sources, matte)
         if smoothed is not None:
-            laid = _laid({**sources, "method": smoothed}, matte)
+            laid = laid_over({**sources, "method": smoothed}, matte)
         variance = developed.variance
         samples = developed.samples
         for name, other in sources.items():
@@ -322,23 +354,8 @@ class ShotRenderer:
         estimates.update(data if matte is None else data_behind_matte(data, matte))
         picture = composite(sampled.P, sampled.a, given.background, sampled.D)
         changed = (sampled.a > 0) | np.any(sampled.D != 0, axis=-1)
-        a, b = (self._half(half, given, matte, sources) for half in (0, 1))
+        a, b = (half_composite(half, given.background, matte, sources) for half in (0, 1))
         return estimates, relative_square(picture, noise_between(a, b), changed), changed
-
-    @staticmethod
-    def _half(
-        half: int, given: ViewInput, matte: np.ndarray | None, sources: Mapping[str, Developed]
-    ) -> np.ndarray:
-        """The composite (h, w, 3) of one half of the samples."""
-
-        def part(developed: Developed) -> Developed:
-            mean = developed.halves[half]
-            return replace(
-                developed, P=mean[..., P : P + 3], a=mean[..., A], D=mean[..., D : D + 3], indirect=None
-            )
-
-        laid = _laid({name: part(developed) for name, developed in sources.items()}, matte)
-        return composite(laid.P, laid.a, given.background, laid.D)
 
     def _cryptomatte_attributes(self) -> dict[str, str]:
         from mrbatch.film import cryptomatte
@@ -348,19 +365,6 @@ class ShotRenderer:
             if layer in self.prepared.layers:
                 found.update(cryptomatte.metadata(name, self._names[layer.removeprefix("crypto_")]))
         return found
-
-
-def _laid(sources: Mapping[str, Developed], matte: np.ndarray | None) -> Contribution:
-    """Participants laid over the method, and all of it behind what stands in front."""
-
-    def contribution(developed: Developed) -> Contribution:
-        return Contribution(developed.P, developed.a, developed.D, developed.indirect)
-
-    laid = contribution(sources["method"])
-    for name, other in sources.items():
-        if name != "method":
-            laid = over(contribution(other), laid)
-    return behind_matte(laid, matte)
 
 
 def pixel_versions(engine: str, filtering: str) -> dict[str, str]:

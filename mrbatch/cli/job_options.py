@@ -28,6 +28,12 @@ _OPTIONS = (
     click.option("--output", metavar="DIR", type=click.Path(path_type=Path), help="Folder for the frames."),
     click.option("--seed", metavar="N", type=int, help="Seed of all random choices."),
     click.option(
+        "--target-error",
+        metavar="E",
+        type=float,
+        help="Samples until the region of interest has this relMSE: `0.001`.",
+    ),
+    click.option(
         "--force", metavar="on:NAME,off:NAME", help="Force effects on or off, whatever the plan says."
     ),
 )
@@ -52,6 +58,7 @@ def load(
     layers: str | None,
     output: Path | None,
     seed: int | None,
+    target_error: float | None,
     force: str | None,
 ) -> Any:
     """The job with all options applied; its files are looked for too. Raises JobErrors."""
@@ -70,6 +77,7 @@ def load(
     change("layers", layers, f"output.layers=[{layers}]")
     change("output", output, f"output.directory={output.absolute().as_posix() if output else ''}")
     change("seed", seed, f"seed={seed}")
+    change("target-error", target_error, f"accuracy.target_error={target_error}")
     for part in filter(None, (force or "").split(",")):
         word, colon, name = part.strip().partition(":")
         if not colon or word not in ("on", "off") or not name:

@@ -117,7 +117,11 @@ class Developed:
 
     P (h, w, 3), a (h, w), D (h, w, 3); `variance` (h, w, 3) of the composite's mean, from the
     samples' own scatter (an upper bound where samples are stratified); `samples` (h, w) int;
-    `halves` (2, h, w, 7) the halves' means; `blocked`, `indirect` (h, w, 3) or None.
+    `halves` (2, h, w, 7) the halves' means, `blocked`, `indirect` (h, w, 3) or None;
+    `scatter` (2, h, w, 3) the variances of the halves (as `variance`, 0 for a single sample), if asked for.
+
+    Where one half has more samples than the other, both still weigh the same: each half's number was
+    decided by the other's samples, and a weight that depends on what it weighs is a bias.
     """
 
     window: Window
@@ -129,6 +133,7 @@ class Developed:
     halves: np.ndarray
     blocked: np.ndarray | None = None
     indirect: np.ndarray | None = None
+    scatter: np.ndarray | None = None
 
 
 def picture_data(window: Window, background: np.ndarray, device: Any) -> Any:
@@ -182,23 +187,34 @@ class FilmLayout:
         for part in ("sums", "squares", "counts"):
             buffers[self.name(part)].zero_()
 
-    def develop(self, buffers: Any, background: np.ndarray) -> Developed:
-        """The estimate that the buffers hold; `background` as given to `data`."""
+    def develop(self, buffers: Any, background: np.ndarray, *, scatter: bool = False) -> Developed:
+        """The estimate that the buffers hold; `background` as given to `data`. `scatter`: that as well."""
         h, w = self.window.height, self.window.width
         sums = buffers[self.name("sums")].numpy()
         squares = buffers[self.name("squares")].numpy()
         counts = buffers[self.name("counts")].numpy().astype(np.float64)
         total = counts.sum(axis=0)
         divisor = np.maximum(total, 1.0)[:, None]
+        each = np.maximum(counts, 1.0)[:, :, None]
         mean = sums.sum(axis=0) / divisor
-        halves = sums[:, :, :BASE_CHANNELS] / np.maximum(counts, 1.0)[:, :, None]
-        variance = np.zeros((len(total), 3))
+        halves = sums[:, :, :BASE_CHANNELS] / each
         # A sample changes the composite by P - a B + D, whose squares the kernel adds up.
         b = np.asarray(background, dtype=np.float64).reshape(-1, 3)
-        second = squares.sum(axis=0) / divisor
-        changed = mean[:, P : P + 3] - mean[:, A : A + 1] * b + mean[:, D : D + 3]
+
+        def change(m: np.ndarray) -> np.ndarray:
+            return m[..., P : P + 3] - m[..., A : A + 1] * b + m[..., D : D + 3]
+
+        uneven = (counts[0] != counts[1]) & (counts.min(axis=0) > 0)
+        own = None
+        if scatter or uneven.any():
+            own = np.maximum(squares / each - change(halves) ** 2, 0.0) / np.maximum(each - 1.0, 1.0)
+        variance = np.zeros((len(total), 3))
         enough = total > 1
-        variance[enough] = np.maximum(second - changed**2, 0.0)[enough] / (total[enough] - 1.0)[:, None]
+        spread = np.maximum(squares.sum(axis=0) / divisor - change(mean) ** 2, 0.0)
+        variance[enough] = spread[enough] / (total[enough] - 1.0)[:, None]
+        if own is not None:
+            mean[uneven] = (sums[:, uneven] / each[:, uneven]).mean(axis=0)
+            variance[uneven] = own[:, uneven].mean(axis=0) / 2.0
 
         def image(x: np.ndarray) -> np.ndarray:
             return x.reshape(h, w, -1)
@@ -214,4 +230,5 @@ class FilmLayout:
             halves=halves.reshape(2, h, w, BASE_CHANNELS),
             blocked=image(mean[:, 7:10]) if split else None,
             indirect=image(mean[:, 10:13]) if split else None,
+            scatter=own.reshape(2, h, w, 3) if own is not None else None,
         )

@@ -14,6 +14,7 @@ from mrbatch.device.runner import Runner
 from mrbatch.device.timing import TimingNode
 from mrbatch.film.accumulator import Developed
 from mrbatch.film.outputs import FrameInput, Outputs, ViewInput
+from mrbatch.film.steering import Steering, groups
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,7 @@ class FrameRenderer:
         views: Mapping[str, ViewInput],
         samples: int,
         *,
+        steering: Steering | None = None,
         tiles: Mapping[str, np.ndarray] | None = None,
         history: Mapping[str, np.ndarray] | None = None,
         looks: Sequence[Look] = (),
@@ -97,6 +99,8 @@ class FrameRenderer:
         `looks`: moments that share the samples of each half evenly, one after another, so that those of each
         are a run of the sequence; `views` are then those of the frame's own time, at which the scene stands.
         Raises ValueError where the samples of a half cannot be shared.
+
+        `steering`, if there, decides over the samples in place of `samples`.
         """
         frame = FrameInput(number, views, self.buffers)
         for name, description in self._descriptions.items():
@@ -125,43 +129,119 @@ class FrameRenderer:
         if first_of_shot:
             self._run_shot()
         run("frame")
-        per_half = (samples + 1) // 2
-        share = per_half // (len(looks) or 1)
-        if share * (len(looks) or 1) != per_half:
-            raise ValueError(f"{per_half} samples of a half cannot be shared by {len(looks)} moments")
         batch = max((source.pipeline.batch for source in self.sources), default=1)
-        done = 0
         progress(0.0)
-        for number_of_look, look in enumerate(looks or (None,)):
-            if look is not None:
+        moments = looks or (None,)
+
+        def look_at(at: int) -> None:
+            nonlocal bound
+            if (look := moments[at]) is not None:
                 look.show()
-                bound = self._bound(FrameInput(number, look.views, self.buffers, number_of_look, len(looks)))
-            end = done + share
-            while done < end:
-                count = min(1 if first_of_shot and done == 0 else batch, end - done)
-                for half in (0, 1):
-                    run("refine", half=half, first_sample=done, samples=count)
-                done += count
-                progress(done / per_half)
-            if look is not None:
+                bound = self._bound(FrameInput(number, look.views, self.buffers, at, len(looks)))
+
+        if steering is None:
+            per_half = (samples + 1) // 2
+            share = per_half // len(moments)
+            if share * len(moments) != per_half:
+                raise ValueError(f"{per_half} samples of a half cannot be shared by {len(looks)} moments")
+            done = 0
+            for at in range(len(moments)):
+                look_at(at)
+                end = done + share
+                while done < end:
+                    count = min(1 if first_of_shot and done == 0 else batch, end - done)
+                    for half in (0, 1):
+                        run("refine", half=half, first_sample=done, samples=count)
+                    done += count
+                    progress(done / per_half)
+                if looks:
+                    run("finish", each_moment=True)
+        else:
+            self._steer(steering, number, views, tiles, len(moments), look_at, lambda: bound, progress)
+            for at in range(len(looks)):
+                look_at(at)
                 run("finish", each_moment=True)
         bound = own
         run("finish", each_moment=False if looks else None)
-        estimates = {
-            view.name: {
-                source.name: self.outputs.layout(view, source.name).develop(
-                    self.buffers, views[view.name].background
-                )
-                for source in self.sources
-            }
-            for view in self.outputs.views
-        }
+        estimates = self._developed(views)
         kept = {
             name: self.buffers[name].numpy().copy()
             for name, description in self._descriptions.items()
             if description.lifetime == "history"
         }
         return RenderedViews(estimates, self.buffers, kept)
+
+    def _steer(
+        self,
+        steering: Steering,
+        number: int,
+        views: Mapping[str, ViewInput],
+        tiles: Mapping[str, np.ndarray] | None,
+        moments: int,
+        look_at: Callable[[int], None],
+        bound: Callable[[], Mapping[str, Any]],
+        progress: Callable[[float], None],
+    ) -> None:
+        """Rounds of `refine` until the steering asks for no more."""
+        ids = {
+            view.name: np.arange(view.window.domain().units, dtype=np.int32)
+            if tiles is None or view.name not in tiles
+            else tiles[view.name]
+            for view in self.outputs.views
+        }
+        done = {name: np.zeros((2, len(units)), dtype=np.int64) for name, units in ids.items()}
+        elsewhere = [0, 0]
+        estimates = None
+        while True:
+            more = steering.more(estimates, ids, done)
+            if not any(counts.any() for counts in more.values()):
+                return
+            for at in range(moments):
+                look_at(at)
+                for half in (0, 1):
+                    most = max(int(counts[half].max(initial=0)) for counts in more.values()) // moments
+                    for source in self.sources:
+                        for step in source.pipeline.refine:
+                            view = step.domain.view
+                            if step.domain.kind != "pixels" or step.everywhere:
+                                runs = [(elsewhere[half], most * moments, None)] if most else []
+                            else:
+                                runs = [
+                                    (first, count, ids[view][chosen])
+                                    for first, count, chosen in groups(done[view][half], more[view][half])
+                                ]
+                            for first, count, units in runs:
+                                share = count // moments
+                                self.runner.run(
+                                    step,
+                                    bound()[source.name],
+                                    self.buffers,
+                                    self.timing,
+                                    units=units,
+                                    half=half,
+                                    first_sample=first + share * at,
+                                    samples=share,
+                                )
+                    if at == moments - 1:
+                        elsewhere[half] += most * moments
+            done = {name: done[name] + more[name] for name in done}
+            estimates = self._developed(views, scatter=steering.scatter)
+            if steering.share > 0.0:
+                progress(steering.share)
+
+    def _developed(
+        self, views: Mapping[str, ViewInput], *, scatter: bool = False
+    ) -> dict[str, dict[str, Developed]]:
+        """By view, then by source: what the film holds."""
+        return {
+            view.name: {
+                source.name: self.outputs.layout(view, source.name).develop(
+                    self.buffers, views[view.name].background, scatter=scatter
+                )
+                for source in self.sources
+            }
+            for view in self.outputs.views
+        }
 
     def _bound(self, frame: FrameInput) -> dict[str, Any]:
         return {source.name: source.pipeline.bind(frame) for source in self.sources}

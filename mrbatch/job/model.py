@@ -135,6 +135,21 @@ class Output(Settings):
         return value
 
 
+class Accuracy(Settings):
+    """How good frames have to be. Without a target each pixel gets the method's `spp` samples."""
+
+    target_error: float | None = Field(
+        None,
+        gt=0.0,
+        le=1.0,
+        description="relMSE of the region of interest, which is what virtual objects change: samples are "
+        "added where they are needed, in place of `spp`; 0.001 is 3 % of a pixel's own brightness",
+    )
+    max_spp: int = Field(
+        4096, ge=4, le=1 << 20, description="Most samples a pixel with a `target_error`, 4..1048576"
+    )
+
+
 def _chosen(info: Any, part: str, key: str) -> list[str]:
     """Names chosen in a part of the job, even where the part's other settings are wrong.
 
@@ -183,6 +198,7 @@ class Job(Settings):
     participants: Annotated[
         tuple[Annotated[Settings, Choice(PARTICIPANTS, "type")], ...], BeforeValidator(_to_tuple)
     ] = Field((), description="What else adds to the picture, such as volumes, by `type`")
+    accuracy: Accuracy = Field(Accuracy(), description="How good frames have to be")
     output: Output = Field(Output(), validate_default=True, description="What is written, where, and how")
     effects: dict[str, Literal["auto", "on", "off"]] = Field(
         {}, description="Effects forced `on` or `off`; `auto` lets the plan decide"

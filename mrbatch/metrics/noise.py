@@ -20,7 +20,8 @@ import numpy as np
 from mrbatch.metrics.tiles import tile_sums
 
 CONFIDENCE = 0.95
-_Z = 1.959964
+Z = 1.959964
+"""Standard errors on either side of a 95 % interval."""
 MAX_BLOCKS = 4096
 """Blocks are 4 x 4 pixels or larger: the noise of a single pixel tells nothing of it."""
 LOWEST, HIGHEST, LEVELS = 1e-3, 1.0, 63
@@ -113,7 +114,7 @@ def noise_of(relative: np.ndarray, changed: np.ndarray, origin: tuple[int, int] 
         return Noise(mean, 0.0, math.inf, pixels, 1)
     # The standard error of a ratio of sums (Cochran, Sampling Techniques, 1977, eq. 6.13).
     spread = float(((sums - mean * counts) ** 2).sum()) * tiles / (tiles - 1)
-    half = _Z * math.sqrt(spread) / pixels
+    half = Z * math.sqrt(spread) / pixels
     return Noise(mean, max(0.0, mean - half), mean + half, pixels, tiles)
 
 

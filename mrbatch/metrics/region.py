@@ -56,6 +56,35 @@ def region_of_interest(
     return dilate(changed, dilation, wraps=projection == "equirectangular")
 
 
+def changed_region(
+    picture: np.ndarray,
+    without_objects: np.ndarray,
+    variance: np.ndarray,
+    *,
+    share: float = SHARE,
+    dilation: float = DILATION,
+    window: int = 7,
+    significance: float = 3.0,
+) -> np.ndarray:
+    """`region_of_interest` of a picture that is still noisy, over the photo, which is not.
+
+    `variance` (height, width, 3) of the picture's noise. A pixel belongs where the change stands out by
+    itself, or averaged over `window` x `window` pixels, so that wide and faint changes are found with few
+    samples.
+    """
+    from scipy.ndimage import uniform_filter
+
+    change = np.asarray(picture, dtype=np.float64) - without_objects
+    threshold = share * float(np.abs(picture).mean())
+    found = np.zeros(change.shape, dtype=bool)
+    for size in (1, window):
+        box = (size, size, 1)
+        mean = uniform_filter(change, box) if size > 1 else change
+        noise = uniform_filter(variance, box) if size > 1 else variance
+        found |= np.abs(mean) > np.maximum(threshold, significance * np.sqrt(np.maximum(noise, 0.0)) / size)
+    return dilate(np.any(found, axis=2), dilation)
+
+
 def dilate(mask: np.ndarray, radius: float, *, wraps: bool = False) -> np.ndarray:
     """All pixels whose centre lies within `radius` pixels of one in `mask`, columns wrapped on request."""
     from scipy.ndimage import distance_transform_edt
