@@ -103,7 +103,8 @@ class Pass:
     thread; a pass gathers (an element owns what it writes), so the cut into spans never shows.
     `halo`: how many elements around its own a pass reads from the buffers in `reads`.
     `kernels`: every kernel it can launch; all are compiled before the first launch. `everywhere`: it
-    runs over its whole domain, also over tiles that nothing virtual touches. `each_moment`: a pass of
+    runs over its whole domain, also over tiles that nothing virtual touches; `seen`: only over those where
+    something virtual may be seen. `each_moment`: a pass of
     `finish` that looks at the scene: where the shutter is open it runs at each moment of the exposure.
     """
 
@@ -116,6 +117,7 @@ class Pass:
     counters: tuple[Counter, ...] = ()
     halo: int = 0
     everywhere: bool = False
+    seen: bool = False
     each_moment: bool = False
 
 

@@ -187,6 +187,7 @@ class ShotRenderer:
         with timing.measure("move"):
             self.scene.show(number)
         tiles = {view.name: prepared.shot.plan.tiles[number, view.name] for view in self.outputs.views}
+        seen = {view.name: prepared.shot.plan.seen[number, view.name] for view in self.outputs.views}
         self.renderer.timing = timing
         steering = self._steering(views, mattes)
         rendered = self.renderer.render(
@@ -195,6 +196,7 @@ class ShotRenderer:
             self.samples,
             steering=steering,
             tiles=tiles,
+            seen=seen,
             history=history,
             looks=looks_at(exposed, prepared.scene, views, self._show) if self.outputs.shutter else (),
             progress=lambda share: self.progress(number, share),

@@ -25,7 +25,7 @@ from mrbatch.effects.plan import Plan
 from mrbatch.errors import InputError, Place
 
 FOLDER = "shot"
-VERSION = 1
+VERSION = 2
 
 
 def content_hash(value: Any) -> str:
@@ -66,7 +66,13 @@ class Shot:
             "colour_reason": self.colour_reason,
             "effects": self.plan.as_dict()["effects"],
             "tiles": [
-                [number, view, _pack(ids), self.plan.influence[number, view]]
+                [
+                    number,
+                    view,
+                    _pack(ids),
+                    _pack(self.plan.seen[number, view]),
+                    self.plan.influence[number, view],
+                ]
                 for (number, view), ids in self.plan.tiles.items()
             ],
             "segments": [[list(s.frames), list(s.warm_up)] for s in self.segments],
@@ -91,8 +97,9 @@ def from_dict(data: Mapping[str, Any]) -> Shot:
     effects = {
         name: Verdict(e["state"], e["why"], e["numbers"], e["bound"]) for name, e in data["effects"].items()
     }
-    tiles = {(int(n), str(view)): _unpack(packed) for n, view, packed, _ in data["tiles"]}
-    words = {(int(n), str(view)): str(why) for n, view, _, why in data["tiles"]}
+    tiles = {(int(n), str(view)): _unpack(packed) for n, view, packed, _, _ in data["tiles"]}
+    seen = {(int(n), str(view)): _unpack(packed) for n, view, _, packed, _ in data["tiles"]}
+    words = {(int(n), str(view)): str(why) for n, view, _, _, why in data["tiles"]}
     return Shot(
         key=data["key"],
         table=data["table"],
@@ -100,7 +107,7 @@ def from_dict(data: Mapping[str, Any]) -> Shot:
         engine=data["engine"],
         colour_type=data["colour_type"],
         colour_reason=data["colour_reason"],
-        plan=Plan(effects, tiles, words),
+        plan=Plan(effects, tiles, seen, words),
         segments=tuple(Segment(tuple(frames), tuple(warm)) for frames, warm in data["segments"]),
         notes=tuple(data["notes"]),
     )

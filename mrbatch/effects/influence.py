@@ -23,11 +23,13 @@ NEAR_PLANE = 2.0**-20
 
 @dataclass(frozen=True)
 class Influence:
-    """Tiles (units of the window's domain) of one view that have to be done, and in words why not more."""
+    """Tiles (units of the window's domain) of one view that have to be done, and in words why not more.
+
+    `seen`: those of `tiles` where something virtual may be seen.
+    """
 
     tiles: np.ndarray
-    seen: int
-    changed: int
+    seen: np.ndarray
     why: str
 
 
@@ -136,9 +138,10 @@ class InfluenceMask:
         tiles = window.tile_rectangles()
         if self.facts.everywhere:
             every = np.arange(len(tiles), dtype=np.int32)
-            return Influence(every, len(tiles), 0, "participants may be anywhere")
+            return Influence(every, every, "participants may be anywhere")
         if not self.facts.scene.virtual:
-            return Influence(np.zeros(0, np.int32), 0, 0, "there is no virtual object")
+            none = np.zeros(0, np.int32)
+            return Influence(none, none, "there is no virtual object")
         seen = np.zeros(len(tiles), dtype=bool)
         changed = np.zeros(len(tiles), dtype=bool)
         gain = np.asarray(frame.gains[view], dtype=np.float64)
@@ -170,7 +173,7 @@ class InfluenceMask:
         else:
             why = f"{len(ids)} of {len(tiles)} tiles: objects may be seen in {int(seen.sum())}, "
             why += f"light may change in {more} more"
-        return Influence(ids, int(seen.sum()), more, why)
+        return Influence(ids, np.nonzero(seen)[0].astype(np.int32), why)
 
     def _may_change(
         self, bounds: LightBounds, surface: Body, camera: Camera, tiles: np.ndarray, gain: np.ndarray

@@ -19,10 +19,12 @@ ON = ("needed", "unresolved", "forced-on")
 @dataclass(frozen=True)
 class Plan:
     """What is simulated. `effects`: verdict by effect, in the rules' order. `tiles`: by frame and view
-    the ids of the decision tiles that are done; `influence`: in words why."""
+    the ids of the decision tiles that are done, `seen`: those of them where something virtual may be seen;
+    `influence`: in words why."""
 
     effects: Mapping[str, Verdict]
     tiles: Mapping[tuple[int, str], np.ndarray] = field(default_factory=dict)
+    seen: Mapping[tuple[int, str], np.ndarray] = field(default_factory=dict)
     influence: Mapping[tuple[int, str], str] = field(default_factory=dict)
 
     def on(self, effect: str) -> bool:
@@ -81,6 +83,7 @@ def make_plan(rules: Sequence[Rule], facts: ShotFacts, forced: Mapping[str, str]
         if before is None or (before.state not in ON and verdict.state in ON):
             effects[rule.effect] = verdict
     tiles: dict[tuple[int, str], np.ndarray] = {}
+    seen: dict[tuple[int, str], np.ndarray] = {}
     words: dict[tuple[int, str], str] = {}
     plan = Plan(effects)
     mask = InfluenceMask(facts, light_change=plan.does("light-change"))
@@ -92,5 +95,6 @@ def make_plan(rules: Sequence[Rule], facts: ShotFacts, forced: Mapping[str, str]
         for view in facts.windows:
             found = mask.tiles(frame, view)
             tiles[frame.number, view] = found.tiles
+            seen[frame.number, view] = found.seen
             words[frame.number, view] = found.why
-    return Plan(effects, tiles, words)
+    return Plan(effects, tiles, seen, words)

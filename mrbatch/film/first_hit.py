@@ -296,6 +296,7 @@ def first_hit_pass(
         ],
         writes=tuple(b.name for b in first_hit_buffers(view, outputs)),
         counters=COUNTERS,
+        seen=True,
         each_moment=True,
         device=outputs.device,
     )

@@ -21,6 +21,7 @@ def pixel_pass(
     writes: tuple[str, ...] = (),
     counters: tuple[Counter, ...] = (),
     everywhere: bool = False,
+    seen: bool = False,
     each_moment: bool = False,
     device: str = "cpu",
 ) -> Pass:
@@ -52,5 +53,6 @@ def pixel_pass(
         kernels=(kernel,),
         counters=counters,
         everywhere=everywhere,
+        seen=seen,
         each_moment=each_moment,
     )

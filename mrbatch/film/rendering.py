@@ -48,7 +48,7 @@ class FrameRenderer:
     """Holds compiled pipelines and their buffers; `render` gives one frame.
 
     `samples` of a frame are split evenly between the halves; `tiles` names the decision tiles of each
-    view that are done (None: all).
+    view that are done (None: all), `seen` those where something virtual may be seen (None: as `tiles`).
     """
 
     def __init__(
@@ -87,6 +87,7 @@ class FrameRenderer:
         *,
         steering: Steering | None = None,
         tiles: Mapping[str, np.ndarray] | None = None,
+        seen: Mapping[str, np.ndarray] | None = None,
         history: Mapping[str, np.ndarray] | None = None,
         looks: Sequence[Look] = (),
         progress: Callable[[float], None] = lambda share: None,
@@ -119,8 +120,9 @@ class FrameRenderer:
                     if each_moment is not None and step.each_moment != each_moment:
                         continue
                     units = None
-                    if step.domain.kind == "pixels" and tiles is not None and not step.everywhere:
-                        units = tiles.get(step.domain.view)
+                    done = seen if step.seen and seen is not None else tiles
+                    if step.domain.kind == "pixels" and done is not None and not step.everywhere:
+                        units = done.get(step.domain.view)
                     self.runner.run(
                         step, bound[source.name], self.buffers, self.timing, units=units, **counts
                     )

@@ -128,5 +128,12 @@ def estimate(
             )
             for moment in (moments if blurred else ())
         ]
-        rendered = renderer.render(frame, {"": given}, spp, tiles={"": plan.tiles[frame, ""]}, looks=looks)
+        rendered = renderer.render(
+            frame,
+            {"": given},
+            spp,
+            tiles={"": plan.tiles[frame, ""]},
+            seen={"": plan.seen[frame, ""]},
+            looks=looks,
+        )
     return Estimated(rendered.estimates[""]["method"], plan, timing, b)

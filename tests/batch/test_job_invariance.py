@@ -309,3 +309,25 @@ def test_the_report_is_whole(tmp_path):
     assert (tmp_path / "out" / job_run.PAGE).is_file()
     again = render(path, report=True)
     assert again.result.kept == (0, 1) and not again.result.rendered
+
+
+# --- tiles in which nothing virtual is seen ------------------------------------------------------------
+
+
+def test_data_layers_look_only_where_something_virtual_may_be_seen(tmp_path):
+    path = write_job(
+        tmp_path, (0,), virtual=[{**CRATE, "transform": {"translate": ["6 cm", "6 cm", "50 mm"]}}]
+    )
+    layers = "output.layers=[virtual,depth,normal,crypto_object]"
+    outcome = render(path, layers)
+    plan = plan_job(load_job(path, [layers])).shot.plan
+    seen, done = plan.seen[0, ""], plan.tiles[0, ""]
+    assert 0 < len(seen) < len(done) and set(seen) <= set(done)
+    children = outcome.result.entries[0].details["timing"]["children"]
+    first = next(node for node in children if node["name"] == "first hits")
+    assert first["counters"]["camera rays"] == 32 * 16 * 16 * len(seen)
+    made = channels(tmp_path / "out" / "small.0000.exr")
+    rows, columns = np.nonzero(made["virtual.A"])
+    assert set((rows // 16) * (WIDTH // 16) + columns // 16) <= set(seen.tolist())
+    normal = np.stack([made[f"normal.{c}"] for c in "XYZ"])
+    assert ((made["depth.Z"] < 1e9) == (normal != 0).any(axis=0)).all()
