@@ -16,3 +16,11 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the shared captures (shared/data beside the checkout) are absent")
     return folder
+
+
+@pytest.fixture(scope="session")
+def mi():
+    """Mitsuba 3, another path tracer, in the variant that needs no compiler; for slow tests."""
+    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed")
+    mitsuba.set_variant("scalar_rgb")
+    return mitsuba

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mrbatch.bench.peers.mitsuba_difference import light_of_map, matt, metal, rgb, sensor
 from mrbatch.methods.delta_path_tracing import METHOD as DELTA
 from mrbatch.methods.estimate import estimate
 from mrbatch.scene.camera import Camera
@@ -21,13 +22,6 @@ pytestmark = pytest.mark.slow
 SIDE, TILE, RUNS, SPP = 32, 8, 12, 256
 LIMIT = 6.0
 """Of the tiles' z: their errors are estimated from few runs, and have long tails under a sun."""
-
-
-@pytest.fixture(scope="module")
-def mi():
-    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed")
-    mitsuba.set_variant("scalar_rgb")
-    return mitsuba
 
 
 def sun_sky() -> np.ndarray:
@@ -94,58 +88,30 @@ SCENES = {
 
 
 def bsdf(material: Material, around: float = 1.0) -> dict[str, Any]:
-    colour = {"type": "rgb", "value": list(material.reflectance)}
     if material.kind == "diffuse":
-        inner: dict[str, Any] = {"type": "diffuse", "reflectance": colour}
-    elif material.kind == "conductor":
-        inner = {
-            "type": "roughconductor",
-            "material": "none",
-            "distribution": "ggx",
-            "alpha": material.alpha,
-            "specular_reflectance": colour,
-        }
-    elif material.kind == "principled":
-        inner = {
+        return matt(rgb(material.reflectance))
+    if material.kind == "conductor":
+        return metal(rgb(material.reflectance), material.alpha)
+    if material.kind == "principled":
+        inner: dict[str, Any] = {
             "type": "principled",
-            "base_color": colour,
+            "base_color": rgb(material.reflectance),
             "metallic": 1.0,
             "roughness": float(np.sqrt(material.alpha)),
         }
-    else:
-        rough = {"type": "roughdielectric", "distribution": "ggx", "alpha": material.alpha}
-        kind = rough if material.alpha else {"type": "dielectric"}
-        return {**kind, "int_ior": material.ior, "ext_ior": around}
-    return {"type": "twosided", "bsdf": inner}
+        return {"type": "twosided", "bsdf": inner}
+    rough = {"type": "roughdielectric", "distribution": "ggx", "alpha": material.alpha}
+    kind = rough if material.alpha else {"type": "dielectric"}
+    return {**kind, "int_ior": material.ior, "ext_ior": around}
 
 
 def mitsuba_scene(mi, folder, objects: Sequence[SceneObject], radiance: np.ndarray, camera: Camera) -> Any:
-    flip = np.asarray(camera.world_from_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])
-    focal = float(np.asarray(camera.matrix)[0, 0])
+    size = (camera.width, camera.height)
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": -1, "rr_depth": 5},
-        "sensor": {
-            "type": "perspective",
-            "fov": float(np.degrees(2 * np.arctan(camera.width / 2 / focal))),
-            "to_world": mi.ScalarTransform4f(flip),
-            "film": {
-                "type": "hdrfilm",
-                "width": camera.width,
-                "height": camera.height,
-                "rfilter": {"type": "box"},
-                "pixel_format": "rgb",
-            },
-            "sampler": {"type": "independent"},
-        },
-        "light": {
-            "type": "envmap",
-            "bitmap": mi.Bitmap(np.array(radiance)),
-            # Its y is up, and its columns start at -z: a cyclic exchange of the axes makes them ours.
-            "to_world": mi.ScalarTransform4f(
-                np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
-            ),
-        },
+        "sensor": sensor(size, camera.matrix, camera.world_from_camera, mi),
+        "light": light_of_map(radiance, np.eye(3), mi),
     }
     for number, item in enumerate(objects):
         path = folder / f"{number}.ply"
@@ -160,7 +126,7 @@ def mitsuba_scene(mi, folder, objects: Sequence[SceneObject], radiance: np.ndarr
             "bsdf": bsdf(item.material, around),
         }
         if any(item.material.emission):
-            sent = {"type": "rgb", "value": list(item.material.emission)}
+            sent = rgb(item.material.emission)
             scene[f"object{number}"]["emitter"] = {"type": "area", "radiance": sent}
     return mi.load_dict(scene)
 
