@@ -1,9 +1,7 @@
-"""The two desk sets (`markers/mitsuba_desk_*`) as scenes, and what a composite of them is judged by.
+"""The two desk sets (`markers/mitsuba_desk_*`) as scenes, and their composites judged.
 
 Another renderer made photo and truth; everything it used is in `scene.json`. The truth's own noise is
-not stored. It is read off the difference of composite and truth, by a filter that is blind to smooth
-errors (`noise_deviation`): that difference holds the noise of the truth, of the photo under the
-composite, and ours, and nothing else of high frequency.
+not stored (`judgement`).
 """
 
 from __future__ import annotations
@@ -13,13 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from judgement import HALF_ROUNDING, against_truth
 
 from mrbatch.film.composite import composite
 from mrbatch.film.window import Window
 from mrbatch.methods.estimate import Estimated, estimate
-from mrbatch.metrics.errors import relmse_map
-from mrbatch.metrics.region import noise_deviation, noisy_region_of_interest
-from mrbatch.metrics.statistics import TileTest, tile_z_test
+from mrbatch.metrics.region import noisy_region_of_interest
+from mrbatch.metrics.statistics import TileTest
 from mrbatch.scene.camera import Camera
 from mrbatch.scene.environment import load_environment
 from mrbatch.scene.mesh import plane
@@ -29,7 +27,6 @@ from mrbatch.scene.scene import Material, Scene, SceneObject, Texture, centre
 SETS = ("mitsuba_desk_window", "mitsuba_desk_lamps")
 PAPER_MM = (210, 297)
 MARKER_MM = 60
-HALF_ROUNDING = 2.0**-11
 
 
 def read(path: Path) -> np.ndarray:
@@ -133,12 +130,12 @@ def desk(shared_data: Path, name: str, kind: str) -> Desk:
 class Judged:
     """Outcome on the region of interest. `ours`, `theirs`: mean variance of a pixel, ours and the truth's.
 
-    `difference`, `z`: of `tile_z_test` with the variance of the difference. `relmse` of the
-    composite, the noise of truth and photo included.
+    `test`, `relmse`, `beyond`: as in `Judgement`.
     """
 
     test: TileTest
     relmse: float
+    beyond: float
     ours: float
     theirs: float
     pixels: int
@@ -178,31 +175,22 @@ def judge(method, desk: Desk, frame: int, *, spp: int, seed: int = 0, **settings
     window = region_window(region)
     result = render(method, desk, frame, window, spp=spp, seed=seed, **settings)
     part = np.s_[window.y : window.y + window.height, window.x : window.x + window.width]
-    truth, region = truth[part].astype(np.float64), region[part]
+    region = region[part]
     d = result.developed
     picture = composite(d.P, d.a, result.background, d.D)
-    spread = noise_deviation(picture - truth) ** 2
-    test = tile_z_test(
-        picture,
-        truth,
-        spread,
-        region=region,
-        origin=(window.x, window.y),
-        rounding=HALF_ROUNDING,
-        confidence=0.99,
-    )
+    found = against_truth(picture, truth[part], region, origin=(window.x, window.y), rounding=HALF_ROUNDING)
     # Our variance from the two halves, which are independent whatever the points are.
     halves = [h[..., :3] - h[..., 3:4] * result.background + h[..., 4:7] for h in d.halves]
     ours = (halves[0] - halves[1]) ** 2 / 4
     # Where the object covers the pixel there is no photo: the rest of the spread is the truth's own.
     inside = region & (d.a == 1)
-    theirs = (spread - ours)[inside].mean()
-    mean = float(truth.mean())
+    theirs = (found.spread - ours)[inside].mean()
     seconds = sum(node.seconds for name, node in result.timing.children.items() if name != "compile")
     rays = sum(n for name, n in result.counters.items() if name.endswith("rays"))
     return Judged(
-        test,
-        float(relmse_map(picture, truth, mean)[region].mean()),
+        found.test,
+        found.relmse,
+        found.beyond,
         float(ours[inside].mean()),
         float(theirs),
         int(region.sum()),

@@ -116,9 +116,9 @@ def start(job: Path, out: Path, *options: object) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def finish(process: subprocess.Popen[str]) -> list[dict[str, Any]]:
+def finish(process: subprocess.Popen[str], seconds: float = 120.0) -> list[dict[str, Any]]:
     """Waits for the end; the events that were told, without lines that are not JSON."""
-    _, told = process.communicate(timeout=120)
+    _, told = process.communicate(timeout=seconds)
     return [json.loads(line) for line in told.splitlines() if line.startswith("{")]
 
 
