@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from mrbatch.batch.time_limit import Referee
 from mrbatch.film.accumulator import Developed
 from mrbatch.film.steering import Counts
 from mrbatch.film.window import Window
@@ -34,8 +35,6 @@ MOST_GROWTH = 2.0
 """A round at most doubles a tile's samples: what noisy estimates ask for is looked at again."""
 RATIOS = (0.02, 2.0)
 """Sane ratios of the halves' difference to their scatter."""
-EASE = 0.6
-"""Work grows as this power of the error's fall, not with it: ever fewer tiles go on. For progress alone."""
 FLAT = 0.9
 """Four times the samples that leave this share of the error or more: something else than noise is left."""
 
@@ -68,11 +67,11 @@ class ErrorTarget:
     """Steers a frame to relMSE `target` on its region of interest; `limit`: most samples a pixel and half.
 
     `judge` gives the view's `Judged` from its estimates by source. Of several views each has to be good
-    enough. `steps`: what was found on the way; `noise` by view: the last of it; `outcome` is there when it
-    asked for nothing more.
+    enough; `referee` may end it before. `steps`: what was found on the way; `noise` by view: the last of it;
+    `outcome` is there when it asked for nothing more; `out_of_time`: it was the referee who ended it.
     """
 
-    scatter = True
+    looks = True
 
     def __init__(
         self,
@@ -83,22 +82,30 @@ class ErrorTarget:
         batch: int,
         limit: int,
         unit: int = 1,
+        referee: Referee | None = None,
     ) -> None:
         self.target = target
         self.unit = unit
         self.steps: list[Step] = []
         self.noise = {name: Noise(0.0, 0.0, 0.0, 0, 0) for name in windows}
         self.outcome: Outcome | None = None
+        self.out_of_time = False
         self._windows = windows
         self._judge = judge
         # A single sample has no scatter.
         self._batch = -(-max(2, batch) // unit) * unit
         self._limit = max(self._batch, limit // unit * unit)
         self._share = 0.0
+        self._referee = referee
 
     @property
     def share(self) -> float:
         return self._share
+
+    @property
+    def spp(self) -> int:
+        """Samples a pixel, mean of the tiles that are done."""
+        return round(self.steps[-1].spp)
 
     def more(
         self,
@@ -121,9 +128,15 @@ class ErrorTarget:
             self.outcome = "converged-floor"
         elif not any(counts.any() for counts in more.values()):
             self.outcome = "limit"
+        spent, asked = (sum(int(c.sum()) for c in counts.values()) for counts in (done, more))
+        if self.outcome is None and self._referee is not None:
+            self.out_of_time = self._referee.over(len(self.steps), spent, asked)
+            if self.out_of_time:
+                self.outcome = "limit"
         if self.outcome is not None:
             return {name: np.zeros_like(counts) for name, counts in more.items()}
-        self._share = min(0.99, max(self._share, (self.target / worst.relmse) ** EASE))
+        foreseen = sum(view.foreseen for view in found.values())
+        self._share = min(0.99, max(self._share, spent / max(foreseen, spent + asked)))
         return more
 
     def as_dict(self) -> dict[str, Any]:
@@ -131,6 +144,8 @@ class ErrorTarget:
         return {
             "target": self.target,
             "outcome": self.outcome,
+            "rounds": len(self.steps),
+            "samples": self.spp,
             "steps": [[s.spp, s.relmse, s.standard_error] for s in self.steps],
         }
 
@@ -175,33 +190,23 @@ class ErrorTarget:
             return _View(step, nothing, True)
         pixels = _by_tile(region, window)[tiles]
         by_half = np.stack([_by_tile(own[half], window)[tiles] for half in (0, 1)])
-        allowed = self.target * region.sum() / (1.0 + SURE * error / relmse)
-        more = np.stack(
+        allowed = self.target * region.sum() / (1.0 + SURE * error / max(relmse, 1e-300))
+        # What a half will have of the error is told by the other one's samples.
+        factors = np.stack(
             [
-                # What this half will have of the error, told by the other one's samples.
-                self._rise(
-                    ratio * by_half[1 - half] * done[1 - half] / done[half], pixels, allowed / 2, done[half]
-                )
+                _over(ratio * by_half[1 - half] * done[1 - half] / done[half], pixels, allowed / 2)
                 for half in (0, 1)
             ]
         )
+        wanted = done * np.clip(factors, 1.0, MOST_GROWTH)
+        rounds = np.ceil((wanted - done) / self._batch - 1e-9).astype(np.int64)
+        more = np.clip(rounds * self._batch, 0, np.maximum(self._limit - done, 0))
         if not more.any():
             # By the tiles' own scatter all is well, by the difference of the halves it is not yet.
             busy = by_half[::-1] > np.median(by_half[::-1][:, pixels > 0], axis=1, keepdims=True)
-            rounds = np.maximum(done // (2 * self._batch), 1)
-            more = np.where(busy, np.minimum(rounds * self._batch, self._limit - done), 0)
-        return _View(step, more, False)
-
-    def _rise(self, error: np.ndarray, pixels: np.ndarray, allowed: float, done: np.ndarray) -> np.ndarray:
-        """(tiles) samples more for a half whose tiles have these errors (summed over their pixels)."""
-        level = water_level(error, pixels, allowed)
-        if not math.isfinite(level):
-            return np.zeros_like(done)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            factor = np.where(pixels > 0, error / (pixels * level), 0.0)
-        wanted = done * np.clip(factor, 1.0, MOST_GROWTH)
-        rounds = np.ceil((wanted - done) / self._batch - 1e-9)
-        return np.clip(rounds * self._batch, 0, np.maximum(self._limit - done, 0)).astype(np.int64)
+            steps = np.maximum(done // (2 * self._batch), 1)
+            more = np.where(busy, np.minimum(steps * self._batch, self._limit - done), 0)
+        return _View(step, more, False, float((done * np.maximum(factors, 1.0)).sum()))
 
 
 @dataclass(frozen=True)
@@ -209,6 +214,16 @@ class _View:
     step: Step
     more: np.ndarray
     good: bool
+    foreseen: float = 0.0
+    """Samples of all tiles, those that are done included, that the target seems to take."""
+
+
+def _over(error: np.ndarray, pixels: np.ndarray, allowed: float) -> np.ndarray:
+    """(tiles): by how many times each tile is over the level; 0 where nothing has to be done."""
+    level = water_level(error, pixels, allowed)
+    if not math.isfinite(level):
+        return np.zeros(len(error))
+    return np.divide(error, pixels * level, out=np.zeros(len(error)), where=pixels > 0)
 
 
 def water_level(error: np.ndarray, pixels: np.ndarray, allowed: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import threading
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,10 @@ from mrbatch.batch.request import RunRequest, RunResult
 from mrbatch.batch.run import run
 from mrbatch.batch.shot import commit_shot
 from mrbatch.batch.stand_in import write_stand_in
+from mrbatch.batch.time_limit import Allowance, Recorded, Referee
 from mrbatch.contracts import Progress
 from mrbatch.device.timing import TimingNode
-from mrbatch.errors import EXIT_GATE, MrbatchError, worst_exit_code
+from mrbatch.errors import EXIT_GATE, InputError, JobError, MrbatchError, Place, worst_exit_code
 from mrbatch.film.layers import empty
 from mrbatch.film.verification import verify_frame
 from mrbatch.job import select_frames
@@ -65,9 +66,11 @@ def render_job(
     stop: threading.Event | None = None,
     report: bool = True,
     began: float | None = None,
+    replay: Path | None = None,
 ) -> JobOutcome:
     """Renders the frames of a job that are not there yet, then previews and report.
 
+    `replay`: a folder of the same job whose frames a limit of time has ended: theirs get the same samples.
     `began`: when the command did, by `time.perf_counter`. Raises JobError, InputError or ResourceError for
     what makes the whole job impossible; what happens to single frames stands in the outcome.
     """
@@ -103,7 +106,8 @@ def render_job(
     views = tuple(prepared.display) if len(prepared.display) > 1 else ("",)
     verify = functools.partial(verify_frame, channels=tuple(empty(prepared.layers, 1, 1)), views=views)
     forecast = tell.Forecast()
-    with _Renderer(prepared, timing, threads, units_per_launch, events, forecast) as render:
+    referee = _referee(prepared, replay, began, forecast, report)
+    with _Renderer(prepared, timing, threads, units_per_launch, events, forecast, referee) as render:
         request = render.with_history(request)
         result = run(
             request,
@@ -116,6 +120,39 @@ def render_job(
             announce_end=False,
         )
     return _finish(job, prepared, result, timing, began, events, report)
+
+
+def _referee(
+    prepared: Prepared, replay: Path | None, began: float, forecast: tell.Forecast, report: bool
+) -> Callable[[int], Referee] | None:
+    """Who ends frames, where the job has a limit of time. Raises JobError where nothing can be replayed."""
+    limit = prepared.job.accuracy.time_limit
+    if replay is not None:
+        found = {
+            number: entry.details["accuracy"]
+            for number, entries in JournalReader(replay).frames.items()
+            for entry in entries
+            if entry.job_hash == prepared.job_hash and "accuracy" in entry.details
+        }
+        if limit is None or not found:
+            why = (
+                "the job has no `accuracy.time_limit`" if limit is None else f"{replay} holds no frame of it"
+            )
+            raise JobError(f"nothing can be replayed: {why}", hint="give the folder of the same job's frames")
+
+        def repeat(number: int) -> Referee:
+            if number not in found:
+                raise InputError("no record of how this frame ended", place=Place(frame=number))
+            return Recorded(found[number]["rounds"], found[number]["samples"])
+
+        return repeat
+    if limit is None:
+        return None
+    pixels = sum(window.pixels for window in prepared.windows.values())
+    allowance = Allowance(
+        began + limit, lambda: forecast.frames_left, megapixels=pixels / 1e6, closing=report
+    )
+    return lambda number: allowance.begin()
 
 
 def _prepare(
@@ -196,11 +233,11 @@ def missed_targets(result: RunResult) -> list[str]:
     """Of frames that are there but not as good as the job asks for: a sentence each."""
     found = []
     for number, entry in sorted(result.entries.items()):
-        told = entry.details.get("accuracy")
-        if told and told["outcome"] != "reached":
+        told = entry.details.get("accuracy", {})
+        if "target" in told and told["outcome"] != "reached":
             spp, relmse, _ = told["steps"][-1]
             why = {
-                "limit": f"at `accuracy.max_spp`, {spp:.0f} samples a pixel on average",
+                "limit": f"at the limit, {spp:.0f} samples a pixel on average",
                 "converged-floor": "and more samples do not help: what is left is no noise",
             }[told["outcome"]]
             found.append(f"frame {number}: relMSE {relmse:.2g} in place of {told['target']:.2g}, {why}")
@@ -284,7 +321,9 @@ class _Renderer:
         units_per_launch: int | None,
         events: tell.EventSink,
         forecast: tell.Forecast,
+        referee: Callable[[int], Referee] | None = None,
     ) -> None:
+        self._referee = referee
         self._prepared = prepared
         self._timing = timing
         self._threads = threads
@@ -318,6 +357,7 @@ class _Renderer:
                 threads=self._threads,
                 units_per_launch=self._units,
                 progress=self._progress,
+                referee=self._referee,
             )
         return self._shot
 

@@ -17,6 +17,7 @@ from mrbatch.batch.error_target import ErrorTarget, Judged
 from mrbatch.batch.exposure import looks_at, pinholes
 from mrbatch.batch.framing import framed
 from mrbatch.batch.prepare import Prepared, first_cameras
+from mrbatch.batch.time_limit import Referee, TimeShare
 from mrbatch.device.runner import Runner
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import InputError
@@ -64,7 +65,10 @@ class ShotRenderer:
         threads: int | None = None,
         units_per_launch: int | None = None,
         progress: Callable[[int, float], None] = lambda number, share: None,
+        referee: Callable[[int], Referee] | None = None,
     ) -> None:
+        """`referee(number)` is asked when the samples of a frame begin, where the job has a limit of time."""
+        self.referee = referee
         self.prepared = prepared
         self.timing = timing
         self.progress = progress
@@ -189,7 +193,7 @@ class ShotRenderer:
         tiles = {view.name: prepared.shot.plan.tiles[number, view.name] for view in self.outputs.views}
         seen = {view.name: prepared.shot.plan.seen[number, view.name] for view in self.outputs.views}
         self.renderer.timing = timing
-        steering = self._steering(views, mattes)
+        steering = self._steering(number, views, mattes)
         rendered = self.renderer.render(
             number,
             views,
@@ -224,10 +228,11 @@ class ShotRenderer:
                 window = view.window
                 noise[view.name] = (
                     noise_of(relative, changed, (window.x, window.y))
-                    if steering is None
+                    if steering is None or steering.noise is None
                     else steering.noise[view.name]
                 )
                 maps[view.name] = noise_map(relative, changed).as_dict()
+        targeted = steering is not None and steering.noise is not None
         counters = timing.total_counters()
         flags = (*data.flags, *(self.exposure.flags(number) if self.outputs.shutter else ()))
         job, shot = prepared.job, prepared.shot
@@ -247,7 +252,7 @@ class ShotRenderer:
                 "relMSE": {name: found.relmse for name, found in noise.items()},
                 "interval": {name: found.interval for name, found in noise.items()},
                 "of": "noise, where something virtual changes the picture, from two halves of the samples; "
-                "95 % interval" + (", from 16x16 tiles" if steering is None else ""),
+                "95 % interval" + ("" if targeted else ", from 16x16 tiles"),
             },
             "versions": self._versions,
             "flags": list(flags),
@@ -282,7 +287,7 @@ class ShotRenderer:
             "units_per_launch": self.runner.units_per_launch or "by number of units and threads",
             "error": worst.relmse,
             "error_interval": worst.interval,
-            "samples": self.samples if steering is None else round(steering.steps[-1].spp),
+            "samples": self.samples if steering is None else steering.spp,
             "display": list(image.display),
             "window": list(astuple(image.data_window)),
             "changed_pixels": worst.pixels,
@@ -298,23 +303,29 @@ class ShotRenderer:
         return int(getattr(self.prepared.job.method, "spp", 2))
 
     def _steering(
-        self, views: Mapping[str, ViewInput], mattes: Mapping[str, np.ndarray | None]
-    ) -> ErrorTarget | None:
-        """What decides over the samples, where the job asks for an error."""
+        self, number: int, views: Mapping[str, ViewInput], mattes: Mapping[str, np.ndarray | None]
+    ) -> ErrorTarget | TimeShare | None:
+        """What decides over the samples, where the job asks for an error or has a limit of time."""
         job = self.prepared.job
-        if job.accuracy.target_error is None:
-            return None
+        unit = job.shutter.samples if job.shutter is not None and self.outputs.shutter else 1
+        referee: Referee | None = None
+        if job.accuracy.time_limit is not None and self.referee is not None:
+            referee = self.referee(number)
+        if job.accuracy.target is None:
+            most = (self.samples + 1) // 2
+            return TimeShare(referee, most=most, unit=unit) if referee is not None else None
 
         def judge(name: str, sources: Mapping[str, Developed]) -> Judged:
             return judged(views[name].background, mattes[name], sources)
 
         return ErrorTarget(
-            job.accuracy.target_error,
+            job.accuracy.target,
             {view.name: view.window for view in self.outputs.views},
             judge,
             batch=max(source.pipeline.batch for source in self.renderer.sources),
             limit=job.accuracy.max_spp // 2,
-            unit=1 if job.shutter is None or not self.outputs.shutter else job.shutter.samples,
+            unit=unit,
+            referee=referee,
         )
 
     def _estimates(

@@ -34,6 +34,17 @@ _OPTIONS = (
         help="Samples until the region of interest has this relMSE: `0.001`.",
     ),
     click.option(
+        "--quality",
+        type=click.Choice(["draft", "preview", "final", "reference"]),
+        help="A target error by name.",
+    ),
+    click.option(
+        "--time-limit",
+        metavar="SECONDS",
+        type=float,
+        help="Time for the whole command; all frames are thinned.",
+    ),
+    click.option(
         "--force", metavar="on:NAME,off:NAME", help="Force effects on or off, whatever the plan says."
     ),
 )
@@ -59,6 +70,8 @@ def load(
     output: Path | None,
     seed: int | None,
     target_error: float | None,
+    quality: str | None,
+    time_limit: float | None,
     force: str | None,
 ) -> Any:
     """The job with all options applied; its files are looked for too. Raises JobErrors."""
@@ -78,6 +91,8 @@ def load(
     change("output", output, f"output.directory={output.absolute().as_posix() if output else ''}")
     change("seed", seed, f"seed={seed}")
     change("target-error", target_error, f"accuracy.target_error={target_error}")
+    change("quality", quality, f"accuracy.quality={quality}")
+    change("time-limit", time_limit, f"accuracy.time_limit={time_limit} s")
     for part in filter(None, (force or "").split(",")):
         word, colon, name = part.strip().partition(":")
         if not colon or word not in ("on", "off") or not name:

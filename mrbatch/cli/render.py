@@ -29,14 +29,27 @@ SHOWN = 10
     default="auto",
     help="How progress is shown.",
 )
+@click.option(
+    "--replay",
+    metavar="DIR",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Frames of this job that a time limit ended: the same samples, the same bits.",
+)
 @click.option("--no-report", is_flag=True, help="Write no report and no previews.")
 def command(
-    job: Path, threads: int | None, overwrite: bool, mode: Any, no_report: bool, **options: Any
+    job: Path,
+    threads: int | None,
+    overwrite: bool,
+    mode: Any,
+    replay: Path | None,
+    no_report: bool,
+    **options: Any,
 ) -> int:
     """Render a job: EXR frames, previews and a report in the output folder.
 
-    Frames that are there already are kept. Exit code 0: done; 2: wrong job; 3: wrong input; 4: some
-    frames failed, the others are there; 5: out of disk, memory or rights; 130: interrupted.
+    Frames that are there already are kept. Exit code 0: done; 1: a target error was missed; 2: wrong job;
+    3: wrong input; 4: some frames failed, the others are there; 5: out of disk, memory or rights; 130:
+    interrupted.
     """
     import threading
     import time
@@ -62,6 +75,7 @@ def command(
                 stop=stop,
                 report=not no_report,
                 began=began,
+                replay=replay,
             )
         except BaseException as error:
             events(tell.Failed(str(error) or type(error).__name__, _code(error)))

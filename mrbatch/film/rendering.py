@@ -227,7 +227,8 @@ class FrameRenderer:
                     if at == moments - 1:
                         elsewhere[half] += most * moments
             done = {name: done[name] + more[name] for name in done}
-            estimates = self._developed(views, scatter=steering.scatter)
+            if steering.looks:
+                estimates = self._developed(views, scatter=True)
             if steering.share > 0.0:
                 progress(steering.share)
 

@@ -21,8 +21,8 @@ class Steering(Protocol):
     """
 
     unit: int
-    scatter: bool
-    """Whether it looks at the halves' own scatter."""
+    looks: bool
+    """Whether it looks at what was rendered so far."""
 
     def more(
         self,
@@ -30,8 +30,9 @@ class Steering(Protocol):
         tiles: Mapping[str, np.ndarray],
         done: Counts,
     ) -> Counts:
-        """How many samples come on top of `done`. `estimates` by view and source (None before the first
-        round) of what was rendered so far; `tiles` by view the ids of the decision tiles."""
+        """How many samples come on top of `done`. `estimates` by view and source of what was rendered so
+        far, with the halves' scatter (None before the first round, or where it does not look); `tiles` by
+        view the ids of the decision tiles."""
 
     @property
     def share(self) -> float:

@@ -19,7 +19,7 @@ from mrbatch.job.frames import ALL, FrameSelection
 from mrbatch.methods.registry import METHODS, PARTICIPANTS
 from mrbatch.methods.registry import method as find_method
 from mrbatch.methods.registry import participant as find_participant
-from mrbatch.quantities import OutputPath, Settings
+from mrbatch.quantities import Duration, OutputPath, Settings
 from mrbatch.scene.camera_settings import LensSettings, ShutterSettings
 from mrbatch.scene.settings import Environment, RealObject, VirtualObject
 
@@ -135,9 +135,19 @@ class Output(Settings):
         return value
 
 
-class Accuracy(Settings):
-    """How good frames have to be. Without a target each pixel gets the method's `spp` samples."""
+QUALITIES = {"draft": 2e-2, "preview": 4e-3, "final": 4e-4, "reference": 2e-5}
+"""What `accuracy.quality` asks for, as `target_error`: 14, 6, 2 and 0.4 % of a pixel's own brightness."""
 
+
+class Accuracy(Settings):
+    """How good frames have to be, and how long they may take. Without a target each pixel gets the method's
+    `spp` samples."""
+
+    quality: Literal["draft", "preview", "final", "reference"] | None = Field(
+        None,
+        description="A `target_error` by name: "
+        + ", ".join(f"`{name}` {error:g}" for name, error in QUALITIES.items()),
+    )
     target_error: float | None = Field(
         None,
         gt=0.0,
@@ -145,9 +155,23 @@ class Accuracy(Settings):
         description="relMSE of the region of interest, which is what virtual objects change: samples are "
         "added where they are needed, in place of `spp`; 0.001 is 3 % of a pixel's own brightness",
     )
-    max_spp: int = Field(
-        4096, ge=4, le=1 << 20, description="Most samples a pixel with a `target_error`, 4..1048576"
+    max_spp: int = Field(4096, ge=4, le=1 << 20, description="Most samples a pixel with a target, 4..1048576")
+    time_limit: Annotated[Duration, Field(gt=0.0)] | None = Field(
+        None,
+        description="Time for the whole command, its start included, above 0: all frames are thinned to keep "
+        "it, to no less than 2 samples a pixel",
     )
+
+    @property
+    def target(self) -> float | None:
+        """relMSE that frames have to reach, or None."""
+        return QUALITIES[self.quality] if self.quality is not None else self.target_error
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Accuracy:
+        if self.quality is not None and self.target_error is not None:
+            raise ValueError("one of `quality` and `target_error` is given")
+        return self
 
 
 def _chosen(info: Any, part: str, key: str) -> list[str]:
