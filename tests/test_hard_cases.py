@@ -43,6 +43,16 @@ def test_cases_of_the_product_name_rows_of_the_page():
     assert not covered() - set(EVERY)
 
 
+def test_a_row_is_a_case_of_the_product_or_says_why_not():
+    from mrbatch.stability.catalogue import HELD_BY_TESTS, covered, elsewhere
+
+    out = {name for name, cells in rows().items() if cells[-1].startswith(LEFT_OUT)}
+    assert covered() | set(HELD_BY_TESTS) | out == set(EVERY)
+    assert not set(HELD_BY_TESTS) & (covered() | out), "a reason that is out of date"
+    for row in elsewhere():
+        assert row.tests or row.name in out, f"{row.name} is held by nothing"
+
+
 def test_marks_are_read_as_pytest_reads_them(pytestconfig):
     """The mark is registered, and what is marked is a test function of a module, not of a class."""
     assert any(line.startswith("case(") for line in pytestconfig.getini("markers"))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mrbatch.contracts import Case, Measurement, Method
-from mrbatch.methods.probe import Probe, judge, probe
+from mrbatch.methods.probe import judge, judge_change, probe
 from mrbatch.methods.registry import method as find_method
 from mrbatch.scene.closed_forms import (
     ball,
@@ -19,22 +19,10 @@ from mrbatch.scene.closed_forms import (
     scene_of,
     virtual,
 )
-from mrbatch.scene.scene import centre
+from mrbatch.scene.scene import Material, SceneObject, centre
 
 LEVEL = 0.005
 """A difference that must be told: 1 % of what the open floor shows."""
-
-
-def probed(found: Sequence[Probe], oracle: np.ndarray | float, tolerance: float) -> Measurement:
-    """`judge` of the red light change of several probes."""
-    return judge(
-        np.array([f.delta[0] for f in found]),
-        np.array([f.delta_error[0] for f in found]),
-        oracle,
-        tolerance,
-        sees=LEVEL,
-        probes=found,
-    )
 
 
 def black_ball(method: Method, seed: int) -> Measurement:
@@ -42,14 +30,33 @@ def black_ball(method: Method, seed: int) -> Measurement:
     distances = (0.25, 1.0, 4.0)
     scene = scene_of([real("floor", floor()), virtual("ball", ball(), 0.0, camera=False)])
     found = [probe(method, scene, (s, 0, 0), spp=1024, seed=seed) for s in distances]
-    return probed(found, -0.5 * ball_share(1.0, 1.0, np.array(distances)), 1e-3 * 0.5)
+    oracle = -0.5 * ball_share(1.0, 1.0, np.array(distances))
+    return judge_change(found, oracle[:, None], 1e-3 * 0.5, sees=LEVEL)
 
 
 def white_furnace(method: Method, seed: int) -> Measurement:
     """DPT-04: among white surfaces under the sky everything shows 1, so nothing changes."""
     scene = scene_of([real("floor", floor(), 1.0), virtual("ball", ball(subdivisions=5), 1.0, camera=False)])
     found = [probe(method, scene, (s, 0, 0), spp=4096, seed=seed) for s in (0.5, 1.5)]
-    return probed(found, 0.0, 1e-3)
+    return judge_change(found, 0.0, 1e-3, sees=LEVEL)
+
+
+def glowing_ball(
+    method: Method,
+    seed: int,
+    *,
+    emissions: Sequence[float] = (1.0, 5.0),
+    distances: Sequence[float] = (0.5, 1.5),
+) -> Measurement:
+    """DPT-09: rho F (L_e - 1) of a black ball that glows; one as bright as the sky cannot be told from it."""
+    found, oracle = [], []
+    for emission in emissions:
+        glow = Material(reflectance=(0.0,) * 3, emission=(emission,) * 3)
+        scene = scene_of([real("floor", floor()), SceneObject("lamp", ball(), glow, True, camera=False)])
+        for s in distances:
+            found.append(probe(method, scene, (s, 0, 0), spp=2048, seed=seed))
+            oracle.append(0.5 * float(ball_share(1.0, 1.0, s)) * (emission - 1.0))
+    return judge_change(found, np.array(oracle)[:, None], 1e-3, sees=2 * LEVEL)
 
 
 def corner_ball(method: Method, seed: int) -> Measurement:
@@ -98,6 +105,15 @@ def light_change_cases(name: str, *, quick: bool = True) -> tuple[Case, ...]:
             quick,
             setup="white ball on a white floor under the sky, two points",
             rows=("TRAP-1e",),
+            statistical=True,
+        ),
+        Case(
+            "DPT-09",
+            "a glowing ball lights what it hides",
+            of(glowing_ball),
+            quick,
+            setup="black ball on a floor of .5 under the sky, as bright as the sky and five times so",
+            rows=("TRAP-1f",),
             statistical=True,
         ),
         Case(

@@ -8,14 +8,14 @@ switch `camera`), so points under them can be looked at from above.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mrbatch.contracts import Measurement, Method
 from mrbatch.methods.estimate import estimate
-from mrbatch.metrics.judging import Numbers, mean_within
+from mrbatch.metrics.judging import Numbers, mean_within, none
 from mrbatch.scene.closed_forms import look_at
 from mrbatch.scene.scene import Scene
 
@@ -90,3 +90,26 @@ def judge(
         radiance=tuple(p.seen for p in probes),
         signed=tuple(p.pixels for p in probes),
     )
+
+
+def judge_change(
+    found: Sequence[Probe], oracle: Numbers, tolerance: float, *, sees: float | None = None
+) -> Measurement:
+    """`judge` of the light change of several probes; `oracle`: a number, (n, 1) or (n, 3)."""
+    means, errors = np.array([p.delta for p in found]), np.array([p.delta_error for p in found])
+    return judge(means, errors, oracle, tolerance, sees=sees, probes=found)
+
+
+def judge_seen(
+    found: Sequence[Probe], oracle: Numbers, tolerance: float, *, sees: float | None = None
+) -> Measurement:
+    """`judge` of what several probes see of virtual surfaces; `oracle` as for `judge_change`."""
+    means, errors = np.array([p.virtual for p in found]), np.array([p.virtual_error for p in found])
+    return judge(means, errors, oracle, tolerance, sees=sees, probes=found)
+
+
+def unchanged(found: Sequence[Probe]) -> Measurement:
+    """Whether every estimate of the light change is 0, to the bit."""
+    pixels = np.concatenate([p.pixels for p in found])
+    told = none(pixels != 0, "estimates that are not 0")
+    return replace(told, radiance=tuple(p.seen for p in found), signed=(pixels,))

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mrbatch.contracts import Measurement
 
@@ -15,7 +16,7 @@ POWER = 0.01
 """Share of the oracle that a mean must be able to tell, where a case does not say another."""
 RARE = 1e-4
 """p-value below which a distribution is refuted."""
-Numbers = np.ndarray | Sequence[float] | float
+Numbers = ArrayLike
 Arrays = Sequence[np.ndarray] | np.ndarray
 
 
@@ -97,7 +98,7 @@ def within(
     )
 
 
-def none(wrong: np.ndarray, what: str) -> Measurement:
+def none(wrong: ArrayLike, what: str) -> Measurement:
     """Whether none of the truth values (any shape) is true; `what` they would be: `rays that escape`."""
     flags = np.asarray(wrong, dtype=bool)
     return Measurement(not flags.any(), f"{int(flags.sum()):,} of {flags.size:,} {what}", "0", "exact")

@@ -110,6 +110,13 @@ def sunk_ball_share(q: float | np.ndarray) -> np.ndarray:
     return (np.arctan(1 / g) - g / h**2) / np.pi
 
 
+def upright_share(a: float, b: float, c: float) -> float:
+    """Form factor of a rectangle a high and b wide that stands on the plane, c off one of its lower corners:
+    (atan(1/y) - y/q atan(1/q)) / 2 pi with y = c / b, q = hypot(a, c) / b."""
+    y, q = c / b, np.hypot(a, c) / b
+    return float((np.arctan(1 / y) - y / q * np.arctan(1 / q)) / (2 * np.pi))
+
+
 def corner(reflectance: float = 0.5, *, size: float = 2.0**12) -> list[SceneObject]:
     """A floor (z = 0) and a wall (x = 0), both large; the open corner is where x and z are positive."""
     half = size / 2

@@ -13,6 +13,8 @@ FAMILIES: Registry[tuple[Case, ...]] = Registry(
     "family of cases",
     {
         "environment": "mrbatch.stability.environment_cases:CASES",
+        "file": "mrbatch.stability.file_cases:CASES",
+        "ray": "mrbatch.stability.ray_cases:CASES",
         "random": "mrbatch.stability.random_cases:CASES",
         "scattering": "mrbatch.stability.scattering_cases:CASES",
         "sum": "mrbatch.stability.sum_cases:CASES",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from engine_rays import cast
 
 from mrbatch.device.rays import RayMesh
+from mrbatch.stability.ray_draws import cast
 
 
 def two_balls():

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from held import holds
 
 from mrbatch.errors import JobError
 from mrbatch.film import layers
+from mrbatch.stability import file_cases
 
 
 def estimates(seed: int = 0, height: int = 9, width: int = 11, exponent: float = 2.0):
-    """Random parts with fractional edges over many orders of magnitude, in float64."""
-    rng = np.random.default_rng(seed)
-    a = np.clip(rng.uniform(-0.5, 1.5, (height, width)), 0, 1)
-    shape = (height, width, 3)
-    level = 10.0 ** rng.uniform(-exponent, exponent, shape)
-    P = rng.uniform(0, 1, shape) * level * a[..., None]
-    B = rng.uniform(0, 1, shape) * level
-    D = rng.normal(0, 0.5, shape) * level * (1 - a[..., None])
-    return {"P": P, "a": a, "B": B, "D": D}
+    return file_cases.random_parts(seed, height, width, exponent)
 
 
 def test_channel_names_follow_the_contract():
@@ -82,27 +76,10 @@ def test_channel_kinds():
 @pytest.mark.case("IO-04")
 @pytest.mark.parametrize("seed", range(4))
 def test_layers_make_the_composite_after_half_storage(seed):
-    """IO-04: max(0, virtual over background + delta) is the composite within 2^-10 (|P| + |B| + |D|).
-
-    Each stored number is off by at most 2^-11 of itself, so P + (1 - a) B + D by at most
-    2^-11 (|P| + (1 - a) |B| + a |B| + |D|); the composite's own rounding, 2^-11 |C|, brings it to the
-    bound at most. What is below half's normal range is off by 2^-25 at most, five numbers take part.
-    """
-    parts = estimates(seed, 64, 64, exponent=4.0)
-    stored = {
-        name: values.astype(np.float16).astype(np.float64)
-        for name, values in layers.channels(None, parts).items()
-    }
-
-    def rgb(prefix):
-        return np.stack([stored[f"{prefix}{c}"] for c in "RGB"], axis=-1)
-
-    P, B, D, C = rgb("virtual."), rgb("background."), rgb("delta."), rgb("")
-    again = np.maximum(0, P + (1 - stored["virtual.A"][..., None]) * B + D)
+    holds(file_cases.layers_make_the_whole(seed))
+    stored = file_cases.stored_layers(seed)
+    P, B, D, C = (file_cases.colour(stored, prefix) for prefix in ("virtual.", "background.", "delta.", ""))
     allowed = 2.0**-10 * (np.abs(P) + np.abs(B) + np.abs(D)) + 5 * 2.0**-25
-    assert np.all(np.abs(again - C) <= allowed)
-    fractional = (parts["a"] > 0) & (parts["a"] < 1)
-    assert fractional.sum() > 1000 and (D < 0).sum() > 1000 and (C == 0).sum() > 100
     # Weighting delta by 1 - a a second time, as a plain `over` of everything would, must be seen.
     twice = np.maximum(0, P + (1 - stored["virtual.A"][..., None]) * (B + D))
     assert np.any(np.abs(twice - C) > allowed)

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from held import holds
 from numpy_tracer import Ball, Plane, radiance
 
 from mrbatch.film.composite import composite
-from mrbatch.methods.delta_path_tracing import METHOD
-from mrbatch.methods.delta_path_tracing.cases import CASES
+from mrbatch.methods.delta_path_tracing import METHOD, noise_cases, picture_cases, shadow_cases
 from mrbatch.methods.delta_path_tracing.cases import delta_probe as probe
 from mrbatch.methods.estimate import estimate
 from mrbatch.scene.closed_forms import (
@@ -21,14 +21,12 @@ from mrbatch.scene.closed_forms import (
     floor,
     lamp_sky,
     look_at,
-    placed,
     real,
     scene_of,
     sky,
     sunk_ball_share,
     virtual,
 )
-from mrbatch.scene.environment import Environment, rotation_from_yaw
 from mrbatch.scene.mesh import icosphere, plane
 from mrbatch.scene.scene import Material, Scene, centre
 
@@ -42,62 +40,19 @@ def agrees(found, error, oracle, tolerance=0.0, sigmas=4.0):
     assert np.all(np.abs(found - oracle) <= room), (found, oracle, room)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES, ids=[c.name for c in CASES])
-def test_hard_case_of_the_product(case):
-    outcome = case.run(3)
-    assert outcome.passed, outcome
-
-
-def test_cases_are_judged_by_their_numbers():
-    """A case that could not fail would be worth nothing: a wrong oracle is seen."""
-    from mrbatch.methods.probe import judge
-
-    assert judge(np.array([0.5]), np.array([0.01]), np.array([0.53]), 0.0).passed
-    assert not judge(np.array([0.5]), np.array([0.01]), np.array([0.55]), 0.0).passed
-    assert not judge(np.array([np.nan]), np.array([0.01]), np.array([0.5]), 1.0).passed
-
-
 # --- DPT-01: nothing virtual ------------------------------------------------------------------
 
 
-def room(*, reflectance=0.5):
-    return [*corner(reflectance, size=64.0)]
-
-
 @pytest.mark.case("DPT-01", "TRAP-1")
-@pytest.mark.parametrize(
-    "extra",
-    [
-        [],
-        [virtual("ghost", ball(0.5, at=(1, 0, 0.5)), camera=False, cast_shadow=False)],
-    ],
-    ids=["no object", "object without any switch on"],
-)
-def test_without_virtual_objects_no_bit_changes_and_nothing_is_traced(extra):
+def test_without_virtual_objects_no_bit_changes_and_nothing_is_traced():
     """DPT-01; printed Algorithm 1 makes an empty plane 70 % too bright and darkens an empty corner."""
-    scene = scene_of([*room(), *extra])
-    camera = look_at((3, -2, 2), (0, 0, 0), width=40, height=24, focal=40)
-    photo = np.random.default_rng(1).normal(0.4, 0.5, (24, 40, 3)).astype(np.float32)
-    photo[0, 0] = -0.0
-    result = estimate(METHOD, scene, camera, spp=4, background=photo)
-    d = result.developed
-    assert not d.D.any() and not d.P.any() and not d.a.any()
-    out = composite(d.P, d.a, photo, d.D)
-    assert np.array_equal(out.astype(np.float32).view(np.uint32), photo.view(np.uint32))
-    assert sum(result.counters.values()) == 0
-    assert result.plan.effects["light-change"].state == "absent"
+    holds(picture_cases.untouched(1))
 
 
 @pytest.mark.slow
 @pytest.mark.case("DPT-01", "DPT-07")
 def test_an_object_behind_the_wall_changes_nothing():
-    """DPT-01/-07: everything is traced (no mask is asked for), and every contribution is exactly zero."""
-    scene = scene_of([*corner(0.5), virtual("hidden", ball(0.5, at=(-3, 0, 1)), 0.9)])
-    found = probe(scene, (1, 0, 0), spp=64)
-    assert found.counters["scatter rays"] > 0
-    assert not found.pixels.any()
-    assert found.counters["lookups"] == 0
+    holds(shadow_cases.behind_the_wall(0))
 
 
 @pytest.mark.case("TRAP-1")
@@ -134,45 +89,25 @@ def test_black_ball_above_a_plane(gap, s):
 
 
 @pytest.mark.case("DPT-03")
-@pytest.mark.parametrize("q", [1.2, 2.0, 4.0])
-def test_half_sunk_black_ball(q):
+def test_half_sunk_black_ball():
     """DPT-03: the horizon cuts the ball; published values .16694, .02883, .00338."""
-    assert sunk_ball_share(q) == pytest.approx({1.2: 0.16694, 2.0: 0.02883, 4.0: 0.00338}[q], abs=6e-6)
-    scene = scene_of([real("floor", floor()), virtual("ball", ball(at=(0, 0, 0)), 0.0, camera=False)])
-    found = probe(scene, (q, 0, 0), spp=256)
-    agrees(found.delta, found.delta_error, -0.5 * sunk_ball_share(q), 1e-3 * 0.5 * sunk_ball_share(q))
+    assert sunk_ball_share([1.2, 2.0, 4.0]) == pytest.approx([0.16694, 0.02883, 0.00338], abs=6e-6)
+    holds(shadow_cases.half_sunk(0))
 
 
 @pytest.mark.case("GEO-08", "TRAP-1k")
-@pytest.mark.parametrize("gap", [0.0, 1e-6, 1e-3])
-def test_contact_does_not_leak(gap):
-    """GEO-08: right under a ball that touches the plane no light is left."""
-    scene = scene_of([real("floor", floor()), virtual("ball", ball(at=(0, 0, 1 + gap)), 0.0, camera=False)])
-    found = probe(scene, (0.01, 0, 0), spp=64, distance=2.0**-4)
-    agrees(found.delta, found.delta_error, -0.5 * ball_share(1, 1 + gap, 0.01), 1e-4)
+def test_contact_does_not_leak():
+    holds(shadow_cases.contact(0))
 
 
 @pytest.mark.case("DPT-13")
 def test_two_balls_in_line_and_a_ball_twice():
-    """DPT-13: what hides what is a union; the same mesh twice is there once."""
-    near, far = ball(0.5, at=(0, 0, 2)), ball(1.0, at=(0, 0, 6))
-    oracle = -0.5 * (0.5 / 2) ** 2
-    for pair in ([near, far], [near, near]):
-        objects = [
-            real("floor", floor()),
-            *(virtual(f"b{k}", m, 0.0, camera=False) for k, m in enumerate(pair)),
-        ]
-        found = probe(scene_of(objects), (0, 0, 0), spp=256)
-        agrees(found.delta, found.delta_error, oracle, 1e-3 * abs(oracle))
+    holds(shadow_cases.union(0))
 
 
 @pytest.mark.case("DPT-04", "MC-03")
 def test_white_furnace_ends_by_roulette_however_it_is_set():
-    """DPT-04, MC-03: roulette early or late, or paths of a hundred edges, among white surfaces: no change."""
-    objects = [real("floor", floor(), 1.0), virtual("ball", ball(subdivisions=5), 1.0, camera=False)]
-    for settings in ({"roulette_depth": 2}, {"roulette_depth": 12}, {"max_depth": 100}):
-        found = probe(scene_of(objects), (0.7, 0, 0), spp=128, settings=settings)
-        agrees(found.delta, found.delta_error, 0.0, 1e-3)
+    holds(shadow_cases.roulette(0))
 
 
 @pytest.mark.case("TRAP-1e")
@@ -201,39 +136,21 @@ def test_capped_paths_are_cut_at_equal_length():
 @pytest.mark.parametrize(("rr", "rv", "oracle"), [(0.5, 0.5, -0.16667), (0.8, 0.2, -0.34167)])
 def test_huge_virtual_wall_bleeds(rr, rv, oracle):
     """DPT-05: radiosity of two half-planes, each seeing the other with form factor 1/2."""
-    colours = np.array([rv, 0.0, 1.0])
-    closed = rr * (0.5 + colours / 4) / (1 - rr * colours / 4) - rr
-    assert closed[0] == pytest.approx(oracle, abs=1e-5)
-    wall = placed(plane(BIG, BIG), at=(0, 0, BIG / 2), normal=(1, 0, 0))
-    found = probe(
-        scene_of([real("floor", floor(), rr), virtual("wall", wall, colours, camera=False)]), (1, 0, 0)
-    )
-    agrees(found.delta, found.delta_error, closed, 1e-3)
-    # The hue is the wall's: green is missing most, blue least.
-    assert found.delta[1] < found.delta[0] < found.delta[2]
+    assert rr * (0.5 + rv / 4) / (1 - rr * rv / 4) - rr == pytest.approx(oracle, abs=1e-5)
+    holds(shadow_cases.bleeding(0, reflectances=((rr, rv),)))
 
 
 @pytest.mark.case("DPT-21")
-@pytest.mark.parametrize("rho", [0.2, 0.5, 0.8])
-def test_black_wall_before_a_whole_real_wall(rho):
+def test_black_wall_before_a_whole_real_wall():
     """DPT-21: what is lost is what the real wall sent, not the sky behind it (printed: -rho / 2)."""
-    hide = placed(plane(BIG, BIG), at=(2.0**-10, 0, BIG / 2), normal=(1, 0, 0))
-    found = probe(scene_of([*corner(rho), virtual("black", hide, 0.0, camera=False)]), (1, 0, 0))
-    agrees(found.delta, found.delta_error, -(rho**2) / (2 * (2 - rho)), 1e-3 * rho)
-    assert abs(found.delta[0] + rho / 2) > 0.05
+    holds(shadow_cases.hidden_wall(0))
+    assert all(abs(rho / 2 - rho**2 / (2 * (2 - rho))) > 0.05 for rho in (0.2, 0.5, 0.8))
 
 
 @pytest.mark.case("DPT-08", "TRAP-1c")
 def test_black_ball_wholly_before_a_black_wall_changes_nothing():
     """DPT-08, TRAP-1c: the printed form takes rr F away."""
-    wall = placed(plane(BIG, BIG), at=(-2, 0, BIG / 2), normal=(1, 0, 0))
-    objects = [
-        real("floor", floor()),
-        real("wall", wall, 0.0),
-        virtual("b", ball(0.3, at=(-1, 0, 1)), 0.0, camera=False),
-    ]
-    found = probe(scene_of(objects), (0, 0, 0), spp=128)
-    assert not found.pixels.any()
+    holds(shadow_cases.before_black_wall(0))
 
 
 @pytest.mark.case("DPT-08", "DPT-15", "TRAP-1d")
@@ -337,19 +254,7 @@ def test_empty_tilted_plane_far_away_does_not_shadow_itself():
 @pytest.mark.case("DPT-19", "ENV-07")
 def test_turning_scene_and_map_together_changes_nothing():
     """DPT-19: yaw of everything, and the order of the objects."""
-    home = corner_scene(environment=lamp_sky())
-    point = np.array([0.6, 0.1, 0.0])
-    base = probe(home, point, spp=256)
-    yaw = 0.65
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation_from_yaw(yaw)
-    objects = tuple(replace(o, mesh=o.mesh.transformed(matrix)) for o in home.objects)
-    light = Environment(home.environment.radiance, world_from_map=rotation_from_yaw(yaw))
-    turned = probe(Scene(objects, light, centre(objects)), matrix[:3, :3] @ point, spp=256, seed=2)
-    agrees(turned.delta, np.hypot(turned.delta_error, base.delta_error), base.delta)
-    other = Scene(home.objects[::-1], home.environment, home.origin)
-    permuted = probe(other, point, spp=256, seed=3)
-    agrees(permuted.delta, np.hypot(permuted.delta_error, base.delta_error), base.delta)
+    holds(noise_cases.turned_scene(0))
 
 
 @pytest.mark.slow
@@ -427,49 +332,13 @@ def test_white_objects_vanish_in_a_white_world(material):
 @pytest.mark.case("DPT-11", "TRAP-3e")
 def test_card_edge_with_fractional_coverage():
     """DPT-11, TRAP-3e: coverage .37; D is the change of what stays visible, weighted once."""
-    coverage = 0.37
-    card = plane(2.0, 2.0, centre=(-1.0 - 0.005 + 0.01 * coverage, 0, 0.5))
-    objects = [real("floor", floor(), 0.5), virtual("card", card, 0.2)]
-    scene = scene_of(objects)
-    # One pixel is 1 cm wide on the card's plane, seen from 2 m above it.
-    pixel = dict(width=1, height=1, focal=200.0)
-    found = [
-        estimate(METHOD, scene, look_at((0, 0, 2.5), (0, 0, 0), **pixel), spp=512, seed=k) for k in range(16)
-    ]
-    a = np.array([f.developed.a[0, 0] for f in found])
-    D = np.array([f.developed.D[0, 0, 0] for f in found])
-    P = np.array([f.developed.P[0, 0, 0] for f in found])
-    agrees(a.mean(), a.std(ddof=1) / 4, coverage)
-    # The visible part alone: the same pixel narrowed to it, with the card taken from the camera.
-    hidden = [objects[0], replace(objects[1], camera=False)]
-    narrow = look_at((0, 0, 2.5), (0, 0, 0), **pixel)
-    matrix = narrow.matrix.copy()
-    matrix[0, 0] /= 1 - coverage
-    matrix[0, 2] = 0.5 - coverage / (2 * (1 - coverage))
-    narrow = replace(narrow, matrix=matrix)
-    part = np.array(
-        [
-            estimate(METHOD, scene_of(hidden), narrow, spp=512, seed=100 + k).developed.D[0, 0, 0]
-            for k in range(16)
-        ]
-    )
-    error = np.hypot(D.std(ddof=1), (1 - coverage) * part.std(ddof=1)) / 4
-    agrees(D.mean(), error, (1 - coverage) * part.mean(), 1e-4)
-    # The card under the sky sends its reflectance times the sky.
-    agrees(P.mean(), P.std(ddof=1) / 4, coverage * 0.2, 1e-5)
-    squared = (1 - coverage) ** 2 * part.mean()
-    assert abs(D.mean() - squared) > 10 * error
+    holds(picture_cases.card_edge(0))
 
 
 @pytest.mark.case("DPT-20", "TRAP-3c")
 def test_black_photo_stays_black_and_delta_stays_signed():
     """DPT-20: the only cut is in the composite."""
-    scene = scene_of([real("floor", floor()), virtual("ball", ball(), 0.0, camera=False)])
-    found = probe(scene, (1, 0, 0), spp=16)
-    assert np.all(found.pixels <= 0) and found.pixels.min() < -0.05
-    shape = found.pixels.reshape(8, 8, 3)
-    out = composite(np.zeros_like(shape), np.zeros((8, 8)), np.zeros_like(shape), shape)
-    assert not out.any() and out.min() >= 0
+    holds(picture_cases.black_photo(0))
 
 
 # --- samples ------------------------------------------------------------------------------------

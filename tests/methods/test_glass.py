@@ -6,15 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from held import holds
 
 from mrbatch.methods.delta_path_tracing import METHOD as DELTA
+from mrbatch.methods.delta_path_tracing import glass_cases
+from mrbatch.methods.delta_path_tracing.glass_cases import halves
 from mrbatch.methods.estimate import estimate
 from mrbatch.methods.one_pass import METHOD as ONE_PASS
 from mrbatch.methods.probe import probe
 from mrbatch.methods.two_pass import METHOD as TWO_PASS
 from mrbatch.scene import settings as given
 from mrbatch.scene.build import build_scene
-from mrbatch.scene.closed_forms import ball, corner, floor, lamp_sky, look_at, real, scene_of, sky, virtual
+from mrbatch.scene.closed_forms import ball, corner, floor, look_at, real, scene_of, sky, virtual
 from mrbatch.scene.environment import Environment
 from mrbatch.scene.mesh import box, icosphere
 from mrbatch.scene.scene import Material
@@ -35,7 +38,7 @@ def seen(objects, light, eye=(0, -4, 0), target=(0, 0, 0), spp=64, method=DELTA,
     return pixels.mean(axis=0), pixels.std(axis=0, ddof=1) / 8
 
 
-@pytest.mark.case("BSDF-08")
+@pytest.mark.case("BSDF-08", "MIS-02")
 @pytest.mark.parametrize("alpha", [0.0, 0.02])
 @pytest.mark.parametrize("mesh", [ball(at=(0, 0, 0)), box((1.0, 1.0, 1.0))], ids=["ball", "box"])
 def test_bsdf_08_glass_under_an_even_sky_shows_the_sky(mesh, alpha):
@@ -44,27 +47,13 @@ def test_bsdf_08_glass_under_an_even_sky_shows_the_sky(mesh, alpha):
         found, error = seen([of(replace(GLASS, alpha=alpha), mesh)], sky(), target=target, spp=256)
         loss = 0.03 if alpha else 0.0
         assert np.all(found > 1.0 - loss - 1e-4 - 4 * error) and np.all(found < 1.0 + 1e-4 + 4 * error)
-    # Among white real things too.
-    objects = [real("floor", floor(), 1.0), of(GLASS, ball(at=(0, 0, 1.001)))]
-    found = probe(DELTA, scene_of(objects), (0.5, 0, 0), spp=1024, distance=1e-3)
-    assert np.all(np.abs(found.delta) < 4 * found.delta_error + 1e-3)
-
-
-def halves(upper, lower):
-    """A map with one radiance above the horizon and another below."""
-    radiance = np.empty((64, 8, 3), np.float32)
-    radiance[:32], radiance[32:] = upper, lower
-    return Environment(radiance)
+    holds(glass_cases.glass_ball(0))
 
 
 @pytest.mark.case("BSDF-07")
 def test_bsdf_07_slab_lets_through_what_fresnel_says():
-    """A slab across the view from above: the ways back and forth sum to T = (1 - R) / (1 + R) = 0.92308."""
-    slab = of(GLASS, box((8.0, 8.0, 0.01)))
-    found, error = seen([slab], halves(0.0, 1.0), eye=(0, 0, 4), spp=4096)
-    assert np.all(np.abs(found - 0.92308) < 4 * error + 1e-4)
-    found, error = seen([slab], halves(1.0, 0.0), eye=(0, 0, 4), spp=4096)
-    assert np.all(np.abs(found - (1 - 0.92308)) < 4 * error + 1e-4)
+    assert pytest.approx(0.92308, abs=1e-5) == glass_cases.SLAB
+    holds(glass_cases.slab(0))
 
 
 def test_colour_is_left_after_depth():
@@ -79,21 +68,7 @@ def test_colour_is_left_after_depth():
 
 @pytest.mark.case("DPT-12")
 def test_dpt_12_slab_shifts_what_lies_behind_by_snells_law():
-    """10 mm of index 1.5 at 60 degrees shift the view by d sin i (1 - cos i / (n cos t)) = 5.125 mm."""
-    slab = box((2.0, 2.0, 0.010))
-    at = np.radians(60)
-    eye = np.array([0.0, -np.sin(at), np.cos(at)]) * 0.5
-    # A white strip on a black floor under the slab; its edge is moved until it is in the middle of the pixel.
-    shift = 0.010 * np.sin(at) * (1 - np.cos(at) / (1.5 * np.cos(np.arcsin(np.sin(at) / 1.5))))
-    assert shift * 1000 == pytest.approx(5.125, abs=1e-3)
-    # The ray leaves lower by shift / cos(at) along y: it meets z = -0.1 nearer than the straight one.
-    straight = np.tan(at) * 0.1
-    for side, white in ((-2e-4, False), (2e-4, True)):
-        edge = straight - shift / np.cos(at) + side
-        strip = virtual("strip", box((4.0, 4.0, 0.001), centre=(0.0, edge - 2.0, -0.1005)), 1.0)
-        black = virtual("black", box((9.0, 9.0, 0.001), centre=(0.0, 0.0, -0.102)), 0.0)
-        found, _ = seen([of(GLASS, slab), strip, black], sky(), eye=tuple(eye), spp=256)
-        assert (found[0] > 0.5) == white
+    holds(glass_cases.slab_shift(0))
 
 
 @pytest.mark.slow
@@ -155,15 +130,9 @@ def test_glass_ball_throws_a_caustic():
 
 @pytest.mark.case("DPT-16")
 def test_dpt_16_what_has_the_index_of_air_changes_no_bit():
+    holds(glass_cases.index_of_air(0))
     item = {"name": "bubble", "sphere": {"radius": "0.5 m"}, "material": {"type": "dielectric", "ior": 1.0}}
-    table = {"name": "table", "plane": {"size": ["4 m", "4 m"]}, "reflectance": 0.5}
-    scene = build_scene(
-        None, [given.RealObject.model_validate(table)], [given.VirtualObject.model_validate(item)]
-    )
-    assert "cannot be seen" in scene.notes[0]
-    scene = replace(scene, environment=lamp_sky())
-    found = estimate(DELTA, scene, look_at((2, 0, 2), (0, 0, 0), width=16, height=16, focal=16), spp=16)
-    assert not found.developed.D.any() and not found.developed.P.any() and not found.developed.a.any()
+    assert "cannot be seen" in build_scene(None, [], [given.VirtualObject.model_validate(item)]).notes[0]
     coloured = item | {"material": {"type": "dielectric", "ior": 1.0, "colour": [1, 0.5, 0.5]}}
     scene = build_scene(None, [], [given.VirtualObject.model_validate(coloured)])
     assert not scene.notes and scene.objects[0].camera

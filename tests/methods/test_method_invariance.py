@@ -2,88 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from held import holds
 
 from mrbatch.film.window import Window
 from mrbatch.methods.delta_path_tracing import METHOD as DELTA
-from mrbatch.methods.estimate import estimate
+from mrbatch.methods.delta_path_tracing import picture_cases
 from mrbatch.methods.image_based_lighting import METHOD as IMAGE_BASED
+from mrbatch.methods.invariance_cases import (
+    HEIGHT,
+    WIDTH,
+    batches,
+    crops,
+    same_pictures,
+    small_photo,
+    small_picture,
+    threads_and_launches,
+)
 from mrbatch.methods.one_pass import METHOD as ONE_PASS
 from mrbatch.methods.two_pass import METHOD as TWO_PASS
 from mrbatch.metrics.tiles import tile_sums
-from mrbatch.scene.closed_forms import ball, corner, lamp_sky, look_at, real, scene_of, virtual
-from mrbatch.scene.mesh import box
-from mrbatch.scene.scene import Material
 
 METHODS = pytest.mark.parametrize("method", [DELTA, IMAGE_BASED, TWO_PASS, ONE_PASS], ids=lambda m: m.name)
-WIDTH, HEIGHT = 70, 50
-FIELDS = ("P", "a", "D", "variance", "samples", "halves")
-
-
-def scene():
-    shiny = replace(
-        virtual("metal", ball(0.3, at=(1.4, 0.6, 0.3), subdivisions=3)),
-        material=Material("conductor", (0.9, 0.7, 0.3), 0.2),
-    )
-    objects = [
-        *corner(0.5, size=16.0),
-        real("box", box((0.4, 0.4, 0.4), centre=(0.8, -0.8, 0.2)), (0.2, 0.5, 0.7)),
-        virtual("ball", ball(0.4, at=(0.7, 0.1, 0.4), subdivisions=3), (0.8, 0.4, 0.3)),
-        shiny,
-    ]
-    return scene_of(objects, lamp_sky())
-
-
-def camera():
-    return look_at((3.5, -2.5, 2.0), (0.7, 0, 0.3), width=WIDTH, height=HEIGHT, focal=70)
-
-
-PHOTO = np.random.default_rng(5).uniform(0, 1, (HEIGHT, WIDTH, 3)).astype(np.float32)
-
-
-def render(method, **options):
-    given = {"spp": 8, "background": PHOTO, "seed": 11, "frame": 3, "engine": "auto", **options}
-    return estimate(method, scene(), camera(), **given)
+PHOTO = small_photo()
+render = small_picture
 
 
 def same(one, other, part=None):
-    for name in FIELDS:
-        a, b = getattr(one.developed, name), getattr(other.developed, name)
-        if part is not None:
-            a = a[:, part[0], part[1]] if name == "halves" else a[part]
-        assert np.array_equal(a, b), name
+    holds(same_pictures(one, other, part))
 
 
 @pytest.mark.case("RNG-01")
 @METHODS
 def test_threads_and_launches_show_in_no_bit(method):
-    base = render(method, threads=1)
-    assert base.developed.P.any()
-    for threads, units in ((2, 1), (4, 3), (2, 64), (1, 5)):
-        other = render(method, threads=threads, units_per_launch=units)
-        same(base, other)
-        assert other.counters == base.counters
+    holds(threads_and_launches(method, 11, ways=((2, 1), (4, 3), (2, 64), (1, 5))))
 
 
+@pytest.mark.case("MC-04")
 @METHODS
 def test_batches_show_in_no_bit(method):
-    base = render(method, spp=16, settings={"batch": 8})
-    for batch in (1, 3, 4, 64):
-        same(base, render(method, spp=16, settings={"batch": batch}))
+    holds(batches(method, 11, sizes=(1, 3, 4, 64)))
 
 
 @pytest.mark.case("RNG-01", "IO-07")
 @METHODS
-@pytest.mark.parametrize("window", [Window(0, 0, 16, 16), Window(13, 9, 31, 27), Window(69, 49, 1, 1)])
-def test_a_crop_is_the_crop_of_the_whole(method, window):
-    whole = render(method)
-    part = render(method, window=window)
-    rows = slice(window.y, window.y + window.height)
-    columns = slice(window.x, window.x + window.width)
-    same(whole, part, (rows, columns))
+def test_a_crop_is_the_crop_of_the_whole(method):
+    holds(crops(method, 11))
 
 
 @METHODS
@@ -142,9 +107,4 @@ def test_variance_is_that_of_independent_runs():
 @pytest.mark.case("RNG-01")
 def test_an_effect_elsewhere_changes_no_number():
     """A pixel's numbers do not depend on which other effects are on: one split, one not."""
-    plain = render(DELTA)
-    split = render(DELTA, needs=frozenset({"D_indirect"}))
-    same(plain, split)
-    parts = split.developed.blocked + split.developed.indirect
-    assert np.allclose(parts, split.developed.D, rtol=1e-5, atol=1e-7)
-    assert split.developed.blocked.max() <= 0.0
+    holds(picture_cases.split_layers(11))

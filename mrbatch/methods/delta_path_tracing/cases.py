@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from mrbatch.contracts import Case, Measurement
+from mrbatch.methods.delta_path_tracing import (
+    glass_cases,
+    mesh_cases,
+    noise_cases,
+    picture_cases,
+    shadow_cases,
+)
+from mrbatch.methods.delta_path_tracing.delta_probe import delta_probe
+from mrbatch.methods.invariance_cases import invariance_cases
 from mrbatch.methods.light_change_cases import light_change_cases
-from mrbatch.methods.probe import Probe, judge, probe
-from mrbatch.methods.registry import method as find_method
+from mrbatch.methods.probe import judge
 from mrbatch.scene.closed_forms import ball, corner, floor, real, scaled, scene_of, virtual
-from mrbatch.scene.scene import Scene
-
-
-def delta_probe(scene: Scene, point: Sequence[float] | np.ndarray, **options: Any) -> Probe:
-    """`probe` of this method."""
-    return probe(find_method("delta-path-tracing"), scene, point, **options)
 
 
 def scale_measurement(seed: int) -> Measurement:
@@ -89,6 +90,12 @@ def squared_errors(seed: int, runs: int, sampler: str, counts: Sequence[int], s:
 
 CASES: tuple[Case, ...] = (
     *light_change_cases("delta-path-tracing"),
+    *shadow_cases.CASES,
+    *picture_cases.CASES,
+    *mesh_cases.CASES,
+    *glass_cases.CASES,
+    *noise_cases.CASES,
+    *invariance_cases("delta-path-tracing"),
     Case(
         "GEO-01",
         "a picture does not depend on the scene's scale",

@@ -1,17 +1,19 @@
-"""Rays cast by an engine, one launch a call: what several tests of engines share."""
+"""Rays cast by an engine, one launch a call: for cases and tests."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from mrbatch.device.rays import FAR, RaySet, build_set, rays
+from mrbatch.device.rays import FAR, Engine, RayMesh, RaySet, build_set, rays
 
 
 @functools.cache
-def make_kernel(engine):
+def _kernel(engine: Engine) -> Any:
     functions = rays(engine)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -34,7 +36,7 @@ def make_kernel(engine):
     return cast
 
 
-def cast(engine, meshes, o, d):
+def cast(engine: Engine, meshes: Sequence[RayMesh], o: np.ndarray, d: np.ndarray) -> list[np.ndarray]:
     """t (n,), barycentrics (n, 2), triangle (n,) or -1, blocked (n,) of rays (n, 3) among `RayMesh`es."""
     built = build_set(meshes, engine)
     n = len(o)
@@ -44,15 +46,6 @@ def cast(engine, meshes, o, d):
         wp.zeros(n, dtype=int, device="cpu"),
         wp.zeros(n, dtype=int, device="cpu"),
     ]
-    wp.launch(
-        make_kernel(engine),
-        n,
-        [
-            built.data,
-            wp.array(o.astype(np.float32), dtype=wp.vec3, device="cpu"),
-            wp.array(d.astype(np.float32), dtype=wp.vec3, device="cpu"),
-            *out,
-        ],
-        device="cpu",
-    )
+    given = [wp.array(a.astype(np.float32), dtype=wp.vec3, device="cpu") for a in (o, d)]
+    wp.launch(_kernel(engine), n, [built.data, *given, *out], device="cpu")
     return [a.numpy() for a in out]
