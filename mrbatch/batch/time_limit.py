@@ -18,7 +18,7 @@ from mrbatch.film.steering import Counts
 
 SECONDS_PER_MEGAPIXEL = 2.0
 """Guess of what a frame takes beside its samples, until one has been seen."""
-CLOSING_SECONDS, CLOSING_PER_MEGAPIXEL = 0.5, 0.3
+CLOSING_SECONDS, CLOSING_PER_MEGAPIXEL = 1.5, 0.45
 """Guess of what previews and report take: once, and by frame and megapixel."""
 
 
