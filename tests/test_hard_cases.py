@@ -40,14 +40,16 @@ def test_the_product_knows_the_rows_of_the_page():
 def test_cases_of_the_product_name_rows_of_the_page():
     from mrbatch.stability.catalogue import covered
 
-    assert not covered() - set(EVERY)
+    # Twins in float64 are of kernels, not of rows.
+    assert not {name for name in covered() if not name.startswith("TWIN-")} - set(EVERY)
 
 
 def test_a_row_is_a_case_of_the_product_or_says_why_not():
     from mrbatch.stability.catalogue import HELD_BY_TESTS, covered, elsewhere
 
     out = {name for name, cells in rows().items() if cells[-1].startswith(LEFT_OUT)}
-    assert covered() | set(HELD_BY_TESTS) | out == set(EVERY)
+    shown = {name for name in covered() if not name.startswith("TWIN-")}
+    assert shown | set(HELD_BY_TESTS) | out == set(EVERY)
     assert not set(HELD_BY_TESTS) & (covered() | out), "a reason that is out of date"
     for row in elsewhere():
         assert row.tests or row.name in out, f"{row.name} is held by nothing"

@@ -25,24 +25,44 @@ _FILE = click.Path(path_type=Path)
     show_default=True,
     help="The full set takes several minutes.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Of all cases.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 2**31 - 1),
+    default=0,
+    show_default=True,
+    help="Of all cases, or the first job's.",
+)
+@click.option(
+    "--fuzz",
+    "jobs",
+    type=click.IntRange(1, 1_000_000),
+    metavar="N",
+    help="In place of the cases: N small random jobs, those of the seeds from --seed on.",
+)
 @click.option("--json", "json_file", type=_FILE, help="Write all that was measured as a report.json.")
 @click.option("--junit", type=_FILE, help="Write JUnit XML, a test case a hard case.")
 @click.option("--html", type=_FILE, help="Write one page.")
 @click.option("--markdown", type=_FILE, help="Write Markdown.")
 @click.pass_context
-def command(ctx, patterns, cases, seed, json_file, junit, html, markdown):
+def command(ctx, patterns, cases, seed, jobs, json_file, junit, html, markdown):
     """Run small set-ups whose answer is known, and say for each whether it came out.
 
-    Exit code 1 where one failed, or could not tell.
+    Exit code 1 where one failed, or could not tell. A random job fails where it crashes, hangs, or gives a
+    pixel that is no number; the seed that is told repeats it.
     """
     from mrbatch.report.html import write_html
     from mrbatch.report.junit import write_junit
     from mrbatch.report.markdown import write_markdown
     from mrbatch.report.model import save_report
+    from mrbatch.stability.fuzz import fuzz
     from mrbatch.stability.run import check_stability
 
-    report = check_stability(patterns, cases=cases, seed=seed, told=_told)
+    if jobs:
+        if patterns:
+            raise click.UsageError("--fuzz takes no --case: it runs random jobs in place of the cases")
+        report = fuzz(jobs, seed=seed, told=_fuzzed(jobs, seed))
+    else:
+        report = check_stability(patterns, cases=cases, seed=seed, told=_told)
     print_cases(report)
     for path, write in ((json_file, save_report), (junit, write_junit), (markdown, write_markdown)):
         if path:
@@ -56,6 +76,19 @@ def _told(case) -> None:
     """One line as soon as a case is judged, beside the table: on standard error."""
     again = ", second seed" if len(case.attempts) > 1 else ""
     click.echo(f"{case.outcome:12} {_label(case)} ({case.seconds.value:.1f} s{again})", err=True)
+
+
+def _fuzzed(jobs, first):
+    """What is wrong with a job at once, and how far it is from time to time, on standard error."""
+
+    def told(seed, wrong):
+        done = seed - first + 1
+        if wrong:
+            click.echo(f"seed {seed}: {wrong}", err=True)
+        if done % 100 == 0 or done == jobs:
+            click.echo(f"{done:,} of {jobs:,} jobs", err=True)
+
+    return told
 
 
 def print_cases(report) -> None:

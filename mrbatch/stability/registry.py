@@ -18,6 +18,7 @@ FAMILIES: Registry[tuple[Case, ...]] = Registry(
         "random": "mrbatch.stability.random_cases:CASES",
         "scattering": "mrbatch.stability.scattering_cases:CASES",
         "sum": "mrbatch.stability.sum_cases:CASES",
+        "twin": "mrbatch.stability.twin_cases:CASES",
         "weight": "mrbatch.stability.weight_cases:CASES",
     },
 )

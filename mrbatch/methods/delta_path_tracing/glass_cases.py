@@ -179,6 +179,7 @@ CASES: tuple[Case, ...] = (
         "BSDF-07",
         "a slab lets through what Fresnel says",
         slab,
+        quick=False,
         setup="slab of glass seen from above, light below or above alone",
         statistical=True,
     ),

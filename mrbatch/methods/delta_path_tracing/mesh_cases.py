@@ -120,6 +120,7 @@ CASES: tuple[Case, ...] = (
         "GEO-09",
         "a coarse smooth ball takes no light from below its facets",
         terminator,
+        quick=False,
         setup="16 x 8 facets, light from below alone; white under the sky",
         statistical=True,
     ),

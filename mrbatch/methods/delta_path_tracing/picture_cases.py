@@ -266,6 +266,7 @@ CASES: tuple[Case, ...] = (
         "DPT-11",
         "an edge in the pixel weights the change once",
         card_edge,
+        quick=False,
         setup="card over .37 of 64 pixels of 4096 samples",
         rows=("TRAP-3e",),
         statistical=True,
@@ -289,6 +290,7 @@ CASES: tuple[Case, ...] = (
         "IO-07",
         "odd sizes are crops of larger pictures",
         odd_size,
+        quick=False,
         setup="1 x 1, 1279 x 719 and 1 x 4096 pixels",
     ),
     Case(
