@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mrbatch.batch.job_run import plan_job as plan
     from mrbatch.batch.job_run import render_job as render
+    from mrbatch.bench.regression import check_jobs
     from mrbatch.capture.marker_video.board import make_board
     from mrbatch.capture.marker_video.bracket_merge import merge_hdr
     from mrbatch.capture.marker_video.calibrate import calibrate_camera
@@ -19,6 +20,7 @@ __version__ = "0.1.0"
 __all__ = [
     "__version__",
     "calibrate_camera",
+    "check_jobs",
     "check_stability",
     "load_job",
     "make_board",
@@ -29,6 +31,7 @@ __all__ = [
 
 _HOMES = {
     "calibrate_camera": ("mrbatch.capture.marker_video.calibrate", "calibrate_camera"),
+    "check_jobs": ("mrbatch.bench.regression", "check_jobs"),
     "check_stability": ("mrbatch.stability.run", "check_stability"),
     "load_job": ("mrbatch.job", "load_job"),
     "make_board": ("mrbatch.capture.marker_video.board", "make_board"),

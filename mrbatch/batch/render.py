@@ -160,8 +160,10 @@ class ShotRenderer:
         with self.renderer.timing.measure("move"):
             self.scene.show(time, number)
 
-    def render(self, number: int, history: Mapping[str, np.ndarray] | None) -> RenderedFrame:
-        """One frame. Raises InputError where its picture cannot be read."""
+    def render(
+        self, number: int, history: Mapping[str, np.ndarray] | None, *, seed: int | None = None
+    ) -> RenderedFrame:
+        """One frame; `seed` in place of the job's. Raises InputError where its picture cannot be read."""
         start = time.perf_counter()
         prepared = self.prepared
         timing = TimingNode(f"frame {number}")
@@ -203,6 +205,7 @@ class ShotRenderer:
             seen=seen,
             history=history,
             looks=looks_at(exposed, prepared.scene, views, self._show) if self.outputs.shutter else (),
+            seed=seed,
             progress=lambda share: self.progress(number, share),
         )
         smoothed: dict[str, Developed] = {}
@@ -226,10 +229,9 @@ class ShotRenderer:
                 images[view.name] = ViewImage(made, views[view.name].camera, self._cryptomatte_attributes())
                 composites[view.name] = np.stack([made["R"], made["G"], made["B"]], axis=-1)
                 window = view.window
+                told = steering.noise if steering is not None else None
                 noise[view.name] = (
-                    noise_of(relative, changed, (window.x, window.y))
-                    if steering is None or steering.noise is None
-                    else steering.noise[view.name]
+                    told[view.name] if told else noise_of(relative, changed, (window.x, window.y))
                 )
                 maps[view.name] = noise_map(relative, changed).as_dict()
         targeted = steering is not None and steering.noise is not None
@@ -245,7 +247,7 @@ class ShotRenderer:
             "plan": {name: v.state for name, v in shot.plan.effects.items()},
             "influence": {view.name: shot.plan.influence[number, view.name] for view in self.outputs.views},
             "counters": counters,
-            "seed": job.seed,
+            "seed": job.seed if seed is None else seed,
             "engine": shot.engine,
             "colour_type": shot.colour_reason,
             "error_estimate": {

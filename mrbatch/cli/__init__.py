@@ -33,6 +33,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "validate": ("mrbatch.cli.validate:command", "Check job files and show all errors at once."),
     "metrics": ("mrbatch.cli.metrics:command", "Compare pictures with a reference."),
     "stability": ("mrbatch.cli.stability:command", "Check that hard cases come out right on this machine."),
+    "ci": ("mrbatch.cli.ci:command", "Check that jobs still render what they did."),
     "report": ("mrbatch.cli.report:command", "Draw the report of a rendered job."),
     "board": ("mrbatch.cli.board:command", "Make a marker or a board to print."),
     "calibrate": ("mrbatch.cli.calibrate:command", "Find a camera's intrinsics from pictures of a board."),

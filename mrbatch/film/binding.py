@@ -25,7 +25,7 @@ def bind_view(
     params = FrameParams()
     params.camera = camera_data(given.camera, scene.scene.origin)
     params.gain = wp.vec3(*(float(g) for g in given.gain))
-    params.seed = wp.uint32(outputs.seed)
+    params.seed = wp.uint32(outputs.seed if frame.seed is None else frame.seed)
     params.frame = frame.number
     params.view = view.index
     # The photo's reflectance is told once a frame, by the camera of the frame's own time.

@@ -81,10 +81,11 @@ class ViewInput:
 @dataclass(frozen=True)
 class FrameInput:
     """What `Pipeline.bind` gets: the frame's number, its views, and the pipeline's arrays by name; of a frame
-    that is looked at at several `moments` which `moment` it is, from 0."""
+    that is looked at at several `moments` which `moment` it is, from 0. `seed`: in place of the job's."""
 
     number: int
     views: Mapping[str, ViewInput]
     buffers: Mapping[str, Any]
     moment: int = 0
     moments: int = 1
+    seed: int | None = None

@@ -90,6 +90,7 @@ class FrameRenderer:
         seen: Mapping[str, np.ndarray] | None = None,
         history: Mapping[str, np.ndarray] | None = None,
         looks: Sequence[Look] = (),
+        seed: int | None = None,
         progress: Callable[[float], None] = lambda share: None,
     ) -> RenderedViews:
         """One frame; `samples` a pixel, both halves together (rounded up to an even number).
@@ -101,9 +102,9 @@ class FrameRenderer:
         are a run of the sequence; `views` are then those of the frame's own time, at which the scene stands.
         Raises ValueError where the samples of a half cannot be shared.
 
-        `steering`, if there, decides over the samples in place of `samples`.
+        `steering`, if there, decides over the samples in place of `samples`; `seed` takes the job's place.
         """
-        frame = FrameInput(number, views, self.buffers)
+        frame = FrameInput(number, views, self.buffers, seed=seed)
         for name, description in self._descriptions.items():
             if description.lifetime in ("frame", "pass"):
                 self.buffers[name].zero_()
@@ -139,7 +140,7 @@ class FrameRenderer:
             nonlocal bound
             if (look := moments[at]) is not None:
                 look.show()
-                bound = self._bound(FrameInput(number, look.views, self.buffers, at, len(looks)))
+                bound = self._bound(FrameInput(number, look.views, self.buffers, at, len(looks), seed))
 
         if steering is None:
             per_half = (samples + 1) // 2

@@ -264,7 +264,7 @@ class Report(_Model):
     """Everything that the pages show; `machine` holds what may differ without changing a pixel."""
 
     schema_version: str = SCHEMA
-    kind: Literal["render", "metrics", "plan", "sweep", "stability"] = "render"
+    kind: Literal["render", "metrics", "plan", "sweep", "stability", "ci"] = "render"
     job: Job
     versions: dict[str, str] = Field(default_factory=dict)
     machine: dict[str, str] = Field(default_factory=dict)
