@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from mrbatch.batch.job_run import plan_job as plan
     from mrbatch.batch.job_run import render_job as render
     from mrbatch.bench.regression import check_jobs
+    from mrbatch.bench.sweep import sweep
     from mrbatch.capture.marker_video.board import make_board
     from mrbatch.capture.marker_video.bracket_merge import merge_hdr
     from mrbatch.capture.marker_video.calibrate import calibrate_camera
@@ -27,6 +28,7 @@ __all__ = [
     "merge_hdr",
     "plan",
     "render",
+    "sweep",
 ]
 
 _HOMES = {
@@ -38,6 +40,7 @@ _HOMES = {
     "merge_hdr": ("mrbatch.capture.marker_video.bracket_merge", "merge_hdr"),
     "plan": ("mrbatch.batch.job_run", "plan_job"),
     "render": ("mrbatch.batch.job_run", "render_job"),
+    "sweep": ("mrbatch.bench.sweep", "sweep"),
 }
 """Public name to where it lives; loaded when first used, so that `import mrbatch` is light."""
 

@@ -49,9 +49,10 @@ class Subject:
     def scene_data(self) -> Any:
         return self.renderer.scene.data
 
-    def run(self) -> Run:
+    def run(self, seed: int | None = None) -> Run:
+        """Renders the frame, by the job's seed or another."""
         before = self._refining()
-        frame = self.renderer.render(self.frame, None)
+        frame = self.renderer.render(self.frame, None, seed=seed)
         after = self._refining()
         name, composite = next(iter(frame.composites.items()))
         coverage = frame.image.views[name].channels.get("virtual.A", np.zeros(composite.shape[:2]))

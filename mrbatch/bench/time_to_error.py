@@ -54,22 +54,34 @@ def time_to_error(
     own = _relmse(reference.picture + reference.noise, reference)
     if own > target / 4:
         raise ValueError(f"a reference of {reference_spp} samples a pixel has relMSE {own:.2g}: give it more")
-    spp = max(2, variants.spp)
-    tried: list[tuple[int, float]] = []
-    while True:
-        run = _render(variants, spp, threads)
-        tried.append((spp, _relmse(run.composite, reference)))
-        said(f"{spp} samples a pixel: relMSE {tried[-1][1]:.3g}")
-        wanted = max(2, 2 * round(spp * _samples_for(tried, target) / 2))
-        if len(tried) == STEPS or abs(tried[-1][1] / target - 1.0) <= CLOSE or wanted == spp:
-            break
-        spp = wanted
+
+    def error_of(spp: int) -> float:
+        error = _relmse(_render(variants, spp, threads).composite, reference)
+        said(f"{spp} samples a pixel: relMSE {error:.3g}")
+        return error
+
+    tried = samples_to_reach(target, variants.spp, error_of)
+    spp = tried[-1][0]
     with variants.subject(f"method.spp={spp}", threads=threads) as subject:
         subject.run()
         seconds = tuple(subject.run().seconds for _ in range(repeats))
     return TimeToError(
         target, spp, tried[-1][1], seconds, tuple(tried), own, reference, variants.frame, threads
     )
+
+
+def samples_to_reach(
+    target: float, first: int, error_of: Callable[[int], float], *, most: int = 1 << 20
+) -> list[tuple[int, float]]:
+    """(samples a pixel, error) on the way to where `error_of` gives `target`, from `first` on."""
+    spp = max(2, first)
+    tried: list[tuple[int, float]] = []
+    while True:
+        tried.append((spp, error_of(spp)))
+        wanted = min(most, max(2, 2 * round(spp * _samples_for(tried, target) / 2)))
+        if len(tried) == STEPS or abs(tried[-1][1] / target - 1.0) <= CLOSE or wanted == spp:
+            return tried
+        spp = wanted
 
 
 def _render(variants: Variants, spp: int, threads: int) -> Run:

@@ -40,11 +40,19 @@ class Variants:
     The capture is opened and solved once. Raises MrbatchError where the job cannot be used.
     """
 
-    def __init__(self, path: Path, settings: Sequence[str] = (), *, frame: int | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        settings: Sequence[str] = (),
+        *,
+        frame: int | None = None,
+        confine: Path | None = None,
+    ) -> None:
         self.path = path
+        self.confine = confine
         self.settings = (*settings, _LAYERS)
         self._timing = TimingNode("bench")
-        job = load_job(path, list(self.settings))
+        job = load_job(path, list(self.settings), confine=confine)
         opened = look_at(job, open_capture(job, self._timing)[0], self._timing)
         first = prepare(job, self._timing, opened=opened)
         self.job = job
@@ -58,7 +66,7 @@ class Variants:
 
     def subject(self, *settings: str, threads: int = 1) -> Subject:
         """The frame with these settings on top of the job's."""
-        job = load_job(self.path, [*self.settings, *settings])
+        job = load_job(self.path, [*self.settings, *settings], confine=self.confine)
         return Subject(prepare(job, self._timing, opened=self._opened), self.frame, threads=threads)
 
 
@@ -105,13 +113,19 @@ def converged(variants: Variants, spp: int, *settings: str, threads: int = 1) ->
     return Reference(picture, changed, (runs[0].coverage + runs[1].coverage) / 2, 2 * half, error, noise)
 
 
-def seconds_in_turns(subjects: Mapping[str, Subject], repeats: int) -> dict[str, list[float]]:
-    """Seconds of the refining passes of each, `repeats` times, one after the other and in changing order,
+def turn(names: Sequence[str], order: np.random.Generator) -> list[str]:
+    """The names in an order drawn at random: which of two meets the slower moment is then a fair coin."""
+    return [names[i] for i in order.permutation(len(names))]
+
+
+def seconds_in_turns(
+    subjects: Mapping[str, Subject], repeats: int, *, seed: int = 1
+) -> dict[str, list[float]]:
+    """Seconds of the refining passes of each, `repeats` times, one after the other and in random order,
     so that a slow moment hits all."""
-    names = list(subjects)
+    names, order = list(subjects), np.random.default_rng(seed)
     spent: dict[str, list[float]] = {name: [] for name in names}
-    for turn in range(repeats):
-        shift = turn % len(names)
-        for name in names[shift:] + names[:shift]:
+    for _ in range(repeats):
+        for name in turn(names, order):
             spent[name].append(subjects[name].run().seconds)
     return spent

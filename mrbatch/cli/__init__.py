@@ -32,6 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plan": ("mrbatch.cli.plan:command", "Say which effects a job's frames call for, and why."),
     "validate": ("mrbatch.cli.validate:command", "Check job files and show all errors at once."),
     "metrics": ("mrbatch.cli.metrics:command", "Compare pictures with a reference."),
+    "sweep": ("mrbatch.cli.sweep:command", "Say what accuracy costs: seconds and errors by setting."),
     "stability": ("mrbatch.cli.stability:command", "Check that hard cases come out right on this machine."),
     "ci": ("mrbatch.cli.ci:command", "Check that jobs still render what they did."),
     "report": ("mrbatch.cli.report:command", "Draw the report of a rendered job."),

@@ -25,7 +25,6 @@ from mrbatch.report.model import (
     Picture,
     Report,
     Role,
-    Scope,
     Score,
     Totals,
     Value,
@@ -39,6 +38,7 @@ from mrbatch.report.pictures import (
     read_picture,
     signed_picture,
 )
+from mrbatch.report.values import Scope
 
 GateScope = Literal["auto", "frame", "region", "tile"]
 _PARTS = {"frame": "the whole frame", "region": "the region of interest", "tile": "the worst tile"}

@@ -13,34 +13,21 @@ import uuid
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from mrbatch.contracts import State
 from mrbatch.errors import InputError, Place, ResourceError
+from mrbatch.report.sweep import Sweep
+from mrbatch.report.values import Model, Score, Value
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 2
+SCHEMA_MINOR = 3
 SCHEMA = f"{SCHEMA_MAJOR}.{SCHEMA_MINOR}"
 """Major: what a name means has changed. Minor: names were added, which older readers leave out."""
 MAX_BYTES = 1 << 28
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
-
-
-class Value(_Model):
-    """A measured number with its unit, its interval and the repetitions behind it, where they exist."""
-
-    value: float
-    unit: str
-    low: float | None = None
-    high: float | None = None
-    confidence: float | None = None
-    repetitions: int | None = None
-
-
-class Effect(_Model):
+class Effect(Model):
     """What the plan decided about one effect and why; `bound` is a relative amplitude."""
 
     name: str
@@ -55,14 +42,14 @@ class Effect(_Model):
     numbers: dict[str, float] = Field(default_factory=dict)
 
 
-class Plan(_Model):
+class Plan(Model):
     """The effects of the shot, and what leaving some of them out saved, where that was measured."""
 
     effects: tuple[Effect, ...] = ()
     saved: Value | None = None
 
 
-class File(_Model):
+class File(Model):
     """A file that was written, relative to the report, with its content hash."""
 
     path: str
@@ -70,21 +57,7 @@ class File(_Model):
     bytes: int | None = None
 
 
-Scope = Literal["frame", "region", "tile"]
-"""The whole frame, the region of interest, the worst 16x16 tile."""
-
-
-class Score(_Model):
-    """An image error against a reference, for one part of the frame."""
-
-    metric: str
-    scope: Scope
-    value: Value
-    at: tuple[int, int] | None = None
-    """First pixel (x, y) of the worst tile."""
-
-
-class Frame(_Model):
+class Frame(Model):
     """One frame of the job.
 
     `state`: `done` now, `kept` from an earlier run, `failed`, or `skipped`. `outcome`: how its samples
@@ -111,7 +84,7 @@ class Frame(_Model):
     exit: int = 0
 
 
-class TimingNode(_Model):
+class TimingNode(Model):
     """A node of the timing tree, as `mrbatch.device.timing.TimingNode.as_dict()` gives it.
 
     `seconds`: wall time, children included; `thread_seconds`: summed over threads; `launches` of kernels.
@@ -126,7 +99,7 @@ class TimingNode(_Model):
     children: tuple[TimingNode, ...] = ()
 
 
-class Run(_Model):
+class Run(Model):
     """One run of the job's command: wall `seconds` from start to end, `frames` it rendered, and what ended
     it early, if anything did."""
 
@@ -138,7 +111,7 @@ class Run(_Model):
     message: str = ""
 
 
-class Totals(_Model):
+class Totals(Model):
     """`seconds`: wall time of all runs added up; `frame_seconds`: what the frames that are there took."""
 
     seconds: Value | None = None
@@ -152,7 +125,7 @@ class Totals(_Model):
     counters: dict[str, int] = Field(default_factory=dict)
 
 
-class Note(_Model):
+class Note(Model):
     """What a person should know, such as a pose that was held."""
 
     level: Literal["info", "warning", "error"]
@@ -165,7 +138,7 @@ Role = Literal[
 ]
 
 
-class NoiseBlocks(_Model):
+class NoiseBlocks(Model):
     """A map of the noise that is left, as `mrbatch.metrics.noise.NoiseMap.as_dict()` gives it."""
 
     block: int
@@ -174,14 +147,14 @@ class NoiseBlocks(_Model):
     codes: str
 
 
-class Legend(_Model):
+class Legend(Model):
     """A colour bar: `signed` (black, grey, white) or `magma` (black to pale), with evenly spread ticks."""
 
     kind: Literal["signed", "magma"]
     ticks: tuple[str, ...]
 
 
-class Picture(_Model):
+class Picture(Model):
     """A picture to show, by its path relative to the report (or a name given to the drawer).
 
     `layer`: which layer of an EXR file; empty for its R, G, B. `noise`: a map that is laid over it.
@@ -198,7 +171,7 @@ class Picture(_Model):
     legend: Legend | None = None
 
 
-class Gate(_Model):
+class Gate(Model):
     """A condition with its measured figure: passed or not."""
 
     name: str
@@ -212,13 +185,13 @@ class Gate(_Model):
 Outcome = Literal["passed", "failed", "inconclusive", "skipped"]
 
 
-class Attempt(_Model):
+class Attempt(Model):
     seed: int
     outcome: Outcome
     measured: str = ""
 
 
-class HardCase(_Model):
+class HardCase(Model):
     """A hard case; `name`: the row of the catalogue; `owner`: the method it is of, or none where shared.
     `reason`: why it failed or was skipped. `attempts`: one a seed that it was tried on."""
 
@@ -241,7 +214,7 @@ class HardCase(_Model):
         return self.outcome in ("passed", "skipped")
 
 
-class Fact(_Model):
+class Fact(Model):
     """Something that a person wants to know of the shot, in words; `meaning`: what it is."""
 
     name: str
@@ -249,7 +222,7 @@ class Fact(_Model):
     meaning: str = ""
 
 
-class Job(_Model):
+class Job(Model):
     """`settings` are the resolved, pixel-relevant ones: the same on every machine."""
 
     name: str
@@ -260,7 +233,7 @@ class Job(_Model):
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
-class Report(_Model):
+class Report(Model):
     """Everything that the pages show; `machine` holds what may differ without changing a pixel."""
 
     schema_version: str = SCHEMA
@@ -282,6 +255,7 @@ class Report(_Model):
     pictures: tuple[Picture, ...] = ()
     gates: tuple[Gate, ...] = ()
     cases: tuple[HardCase, ...] = ()
+    sweep: Sweep | None = None
     exit: int = 0
 
     def to_json(self) -> str:

@@ -274,5 +274,12 @@ def data_uri(codes: np.ndarray, *, width: int = 720, quality: int = 82, max_byte
         width, quality = width * 3 // 4, max(50, quality - 8)
 
 
+def png_uri(codes: np.ndarray) -> str:
+    """uint8 RGB (height, width, 3) as a `data:` address of a PNG, code for code."""
+    import cv2
+
+    return _uri("png", cv2.imencode(".png", np.ascontiguousarray(codes[..., ::-1]))[1])
+
+
 def _uri(kind: str, data: np.ndarray) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data.tobytes()).decode('ascii')}"

@@ -115,8 +115,8 @@ def noise_plot(report: Report, *, width: int = 460, height: int = 270) -> NoiseP
     every_x = [s for _, s, _ in measured] + list(cost.values())
     every_y = [a for _, _, a in measured] + list(noise.values())
     left, right, top, bottom = 46.0, width - 30.0, 14.0, height - 38.0
-    x_axis = _Axis(min(every_x) / 1.15, max(every_x) * 1.15, left, right)
-    y_axis = _Axis(min(every_y) / 1.25, max(every_y) * 1.25, bottom, top)
+    x_axis = LogAxis(min(every_x) / 1.15, max(every_x) * 1.15, left, right)
+    y_axis = LogAxis(min(every_y) / 1.25, max(every_y) * 1.25, bottom, top)
     marks = tuple(
         Mark(
             x_axis.at(s),
@@ -139,8 +139,8 @@ def noise_plot(report: Report, *, width: int = 460, height: int = 270) -> NoiseP
         right,
         top,
         bottom,
-        x_axis.ticks(_time_text, _times),
-        y_axis.ticks(lambda v: f"{v:g} %", _decimals),
+        x_axis.ticks(time_text, round_times),
+        y_axis.ticks(lambda v: f"{v:g} %", decimals),
         marks,
         tuple((m.x, m.y) for m in foreseen),
         tuple(m for m in foreseen if m.label),
@@ -150,7 +150,7 @@ def noise_plot(report: Report, *, width: int = 460, height: int = 270) -> NoiseP
 
 
 @dataclass(frozen=True)
-class _Axis:
+class LogAxis:
     """Logarithmic, from `low` at `first` to `high` at `last`."""
 
     low: float
@@ -173,24 +173,24 @@ class _Axis:
         return tuple(Tick(self.at(v), write(v)) for v in values)
 
 
-def _decimals(low: float, high: float, density: int) -> list[float]:
+def decimals(low: float, high: float, density: int) -> list[float]:
     """Round numbers about `low` to `high`, `density` (1, 2 or 3) of them in a decade."""
     steps = {3: (1, 2, 5), 2: (1, 3), 1: (1,)}[density]
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     return [m * 10.0**p for p in powers for m in steps]
 
 
-def _times(low: float, high: float, density: int) -> list[float]:
+def round_times(low: float, high: float, density: int) -> list[float]:
     """Round times in seconds: minutes and hours are round, too."""
     minutes = {3: (1, 2, 5, 10, 20, 30), 2: (1, 3, 10, 30), 1: (1, 10)}[density]
     return [
-        *(s for s in _decimals(low, high, density) if s < 60),
+        *(s for s in decimals(low, high, density) if s < 60),
         *(60.0 * m for m in minutes),
-        *(3600.0 * h for h in _decimals(1.0, max(high / 3600, 1.0), density)),
+        *(3600.0 * h for h in decimals(1.0, max(high / 3600, 1.0), density)),
     ]
 
 
-def _time_text(seconds: float) -> str:
+def time_text(seconds: float) -> str:
     """`3 s`, `5 min`, `2 h`: for round times."""
     for unit, size in (("h", 3600.0), ("min", 60.0)):
         if seconds >= size:

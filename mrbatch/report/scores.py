@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mrbatch.metrics.errors import METRICS
-from mrbatch.report.model import Report, Scope, Score
+from mrbatch.report.model import Report
 from mrbatch.report.numbers import number
+from mrbatch.report.values import Scope, Score
 
 SCOPES: tuple[tuple[Scope, str], ...] = (
     ("frame", "frame"),

@@ -70,7 +70,7 @@ def test_round_trip(tmp_path):
     assert load_report(tmp_path / "out" / "report.json") == report
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["report.json"]
     data = json.loads((tmp_path / "out" / "report.json").read_text("utf-8"))
-    assert data["schema_version"] == "1.2" and data["frames"][0]["counters"]["rays"] == 2**40
+    assert data["schema_version"] == "1.3" and data["frames"][0]["counters"]["rays"] == 2**40
 
 
 def test_infinity_survives_strict_json(tmp_path):

@@ -6,12 +6,10 @@ from mrbatch.scene.path_settings import PATH_AXES
 AXES = (
     *PATH_AXES,
     Axis(
-        "filter",
+        "pixel filter",
         "method.pixel_filter",
         ("box", "gaussian", "blackman-harris"),
         "edges against noise",
         "camera rays",
     ),
-    Axis("resolution", "output.scale", (0.25, 0.5, 1.0), "time ~ pixels", "camera rays"),
-    Axis("engine", "engine", ("embree", "warp"), "same picture, other time", "scatter rays"),
 )
