@@ -87,7 +87,7 @@ def report_of(outcome: Outcome) -> Report:
                 one = outcome.choices[key]
                 points.append(_point(outcome, key, name, one.label, found, block, one.values))
     points = _judged(points, claims)
-    drawn = {p.name: (p.seconds.value, p.error.value) for p in points if p.error and p.axis != THREADS}
+    drawn = {p.name: (p.time.value, p.error.value) for p in points if p.error and p.axis != THREADS}
     on_front = front(drawn)
     points = [p.model_copy(update={"front": p.name in on_front}) for p in points]
     first = [s for b in blocks.values() for s in b.found[OWN].seconds]

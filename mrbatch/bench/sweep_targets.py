@@ -44,7 +44,7 @@ def targets_of(outcome: Outcome, report: Report, target: float | None) -> Report
         if target is not None and (point.own or along.get(point.axis) == MEASURED):
             found.append(_measured(outcome, point, wanted))
         else:
-            found.append(_foreseen(point, wanted, slope))
+            found.append(_foreseen(told, point, wanted, slope))
     swept = told.model_copy(update={"target": wanted, "targets": tuple(found)})
     return report.model_copy(update={"sweep": swept})
 
@@ -61,24 +61,24 @@ def times_the_samples(noise: float, bias: float, target: float, slope: float) ->
     return (noise / rest) ** (1.0 / slope) if rest > 0.0 else math.inf
 
 
-def _foreseen(point: SweepPoint, target: float, slope: float) -> SweepTarget:
+def _foreseen(told: Sweep, point: SweepPoint, target: float, slope: float) -> SweepTarget:
     assert point.noise is not None and point.bias is not None
     least = point.bias.low or 0.0
     # A bias whose interval reaches 0 is taken for none.
     factor = times_the_samples(point.noise.value, point.bias.value if least > 0.0 else 0.0, target, slope)
     if not math.isfinite(factor):
-        return SweepTarget(point=point.name, outcome="converged-floor" if least >= target else "undecided")
+        # Under much noise, light that is hardly ever found and the cut at 0 look like bias.
+        sure = least >= target and point.bias.value > point.noise.value
+        return SweepTarget(point=point.name, outcome="converged-floor" if sure else "undecided")
     share = min(1.0, point.pass_seconds.value / point.seconds.value)
     by = 1.0 - share + share * factor
-    seconds = {
-        key: None if (v := getattr(point.seconds, key)) is None else v * by
-        for key in ("value", "low", "high")
-    }
+    now = told.seconds_of(point)
+    seconds = {key: None if (v := getattr(now, key)) is None else v * by for key in ("value", "low", "high")}
     return SweepTarget(
         point=point.name,
         outcome="reached",
         samples=max(2, 2 * round((point.samples or 2) * factor / 2)),
-        seconds=point.seconds.model_copy(update=seconds),
+        seconds=now.model_copy(update=seconds),
         relmse=target,
     )
 

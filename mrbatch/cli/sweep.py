@@ -51,6 +51,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--csv", "csv_file", type=_FILE, help="Write a line for each value measured.")
 @click.option("--junit", type=_FILE, help="Write JUnit XML, a test case a check.")
 @click.option("--html", type=_FILE, help="Write one page.")
+@click.option("--markdown", type=_FILE, help="Write the price list as Markdown.")
 @click.pass_context
 def command(
     ctx,
@@ -70,6 +71,7 @@ def command(
     csv_file,
     junit,
     html,
+    markdown,
 ):
     """Say what accuracy costs: renders a frame of JOB over and over, in its own and in other settings.
 
@@ -78,6 +80,7 @@ def command(
     from mrbatch.bench.sweep import SweepRequest, sweep
     from mrbatch.report.junit import write_junit
     from mrbatch.report.model import save_report
+    from mrbatch.report.sweep_markdown import write_price_list
     from mrbatch.report.sweep_page import write_sweep_html
     from mrbatch.report.sweep_table import print_sweep, write_csv
 
@@ -97,7 +100,13 @@ def command(
     )
     report, images = sweep(job, request, said=_told())
     print_sweep(report)
-    for path, write in ((json_file, save_report), (csv_file, write_csv), (junit, write_junit)):
+    written = (
+        (json_file, save_report),
+        (csv_file, write_csv),
+        (junit, write_junit),
+        (markdown, write_price_list),
+    )
+    for path, write in written:
         if path:
             write(report, path)
     if html:

@@ -103,7 +103,7 @@ class SweepSlope(Model):
 class SweepTarget(Model):
     """What it takes a point's settings to bring the error to the target.
 
-    `outcome`: `reached`; `converged-floor`: its bias is larger; `undecided`: its bias may be. `foreseen`:
+    `outcome`: `reached`; `converged-floor`: its bias is larger; `undecided`: it may be. `foreseen`:
     from its noise and the slope of the error with samples; else rendered with these samples.
     """
 
@@ -163,6 +163,18 @@ class Sweep(Model):
     def point(self, name: str) -> SweepPoint:
         """The point of that name. Raises KeyError."""
         return {p.name: p for p in self.points}[name]
+
+    def seconds_of(self, point: SweepPoint) -> Value:
+        """Of a frame, by the ratio to the job's own settings: what the machine did meanwhile is left out, so
+        that points of different axes, which were measured one after another, can stand in one plot."""
+        own = self.own.seconds
+        if point.own:
+            return own
+        parts = {
+            key: None if (v := getattr(point.time, key)) is None else own.value * v
+            for key in ("value", "low", "high")
+        }
+        return point.time.model_copy(update={**parts, "unit": own.unit})
 
     @property
     def own(self) -> SweepPoint:

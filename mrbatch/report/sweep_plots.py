@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from mrbatch.report import numbers
 from mrbatch.report.plots import LogAxis, Tick, decimals, round_times, time_text
@@ -27,8 +28,8 @@ class Dot:
     kind: str
     """`own`, `front` or `other`."""
     knee: bool
-    left: bool
-    """The label stands to the left, so that it does not leave the plot."""
+    at: tuple[float, float, str] = (0.0, 0.0, "start")
+    """Where the label stands, and on which side of that place."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +55,16 @@ def cost_plot(told: Sweep, *, width: int = 760, height: int = 440) -> CostPlot |
     if not points:
         return None
     left, right, top, bottom = 62.0, width - 16.0, 14.0, height - 40.0
-    seconds = [v for p in points for v in _ends(p.seconds)]
+    spent = {p.name: told.seconds_of(p) for p in points}
+    seconds = [v for value in spent.values() for v in _ends(value)]
     errors = [v for p in points for v in _ends(p.relmse)]
     x_axis = LogAxis(min(seconds) / 1.25, max(seconds) * 1.25, left, right)
     y_axis = LogAxis(min(errors) / 1.4, max(errors) * 1.4, bottom, top)
     dots = []
     for p in sorted(points, key=lambda p: (p.own, p.front)):
         assert p.relmse is not None
-        (x0, x1), (y0, y1) = _ends(p.seconds), _ends(p.relmse)
-        x, y = x_axis.at(p.seconds.value), y_axis.at(p.relmse.value)
+        (x0, x1), (y0, y1) = _ends(spent[p.name]), _ends(p.relmse)
+        x, y = x_axis.at(spent[p.name].value), y_axis.at(p.relmse.value)
         what = p.name if p.own else f"{p.axis} {p.value}"
         kind = "own" if p.own else "front" if p.front else "other"
         dots.append(
@@ -70,17 +72,17 @@ def cost_plot(told: Sweep, *, width: int = 760, height: int = 440) -> CostPlot |
                 x,
                 y,
                 (x_axis.at(x0), x_axis.at(x1), y_axis.at(y0), y_axis.at(y1)),
-                f"{what}: {numbers.quantity(p.seconds)}, relMSE {numbers.quantity(p.relmse)}",
+                f"{what}: {numbers.quantity(spent[p.name])}, relMSE {numbers.quantity(p.relmse)}",
                 what if kind != "other" else "",
                 kind,
                 p.name == told.knee,
-                x > left + 0.72 * (right - left),
             )
         )
     on_front = sorted(
         (d for d, p in zip(dots, sorted(points, key=lambda p: (p.own, p.front))) if p.front), key=_x
     )
     own = told.truth.own.value * FLOOR if told.truth.own else 0.0
+    dots = _labelled(dots, (left, right, top, bottom))
     return CostPlot(
         width,
         height,
@@ -94,6 +96,37 @@ def cost_plot(told: Sweep, *, width: int = 760, height: int = 440) -> CostPlot |
         tuple((d.x, d.y) for d in on_front),
         y_axis.at(own) if y_axis.low < own < y_axis.high else None,
     )
+
+
+LETTER, LINE = 6.4, 13.0
+"""Width of a letter and height of a line of the labels, roughly."""
+
+
+def _labelled(dots: Sequence[Dot], bounds: tuple[float, float, float, float]) -> list[Dot]:
+    """Puts the labels where they hide neither each other nor a dot, the own one first; others have none."""
+    left, right, top, bottom = bounds
+    taken = [(d.x - 5, d.y - 5, d.x + 5, d.y + 5) for d in dots if d.kind != "other"]
+    found = list(dots)
+    for index in sorted(range(len(dots)), key=lambda i: (dots[i].kind != "own", dots[i].x)):
+        dot = dots[index]
+        long = LETTER * len(dot.label)
+        places = [
+            (dot.x + side * 9, dot.y + down, "start" if side > 0 else "end")
+            for down in (-7.0, 16.0)
+            for side in (1, -1)
+        ]
+        chosen = None
+        for x, y, anchor in places if dot.label else ():
+            box = (x if anchor == "start" else x - long, y - LINE, x + long if anchor == "start" else x, y)
+            inside = left <= box[0] and box[2] <= right and top <= box[1] and box[3] <= bottom
+            if inside and not any(
+                box[0] < t[2] and t[0] < box[2] and box[1] < t[3] and t[1] < box[3] for t in taken
+            ):
+                chosen = (x, y, anchor)
+                taken.append(box)
+                break
+        found[index] = replace(dot, at=chosen) if chosen else replace(dot, label="")
+    return found
 
 
 def _x(dot: Dot) -> float:

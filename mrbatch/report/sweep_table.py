@@ -128,6 +128,12 @@ def headline(told: Sweep) -> tuple[str, ...]:
     )
     whose = "not made by this program" if truth.independent else "by this program: its own faults do not show"
     found.append(f"Truth: {truth.source}{by} ({whose}); {own_error}: {consequence}.")
+    seeds = own.noise.repetitions if own.noise else None
+    if seeds:
+        found.append(
+            f"Noise: of each setting against its own mean over {seeds} seeds, whose own error is taken off; "
+            "bias: what of the error is left."
+        )
     said = sum(c.outcome != "undecided" for c in told.claims)
     found.append(
         f"{said} of {len(told.claims)} pairs are ranked; all of that together holds with "
@@ -141,7 +147,7 @@ def target_words(target: SweepTarget) -> str:
     if target.outcome == "converged-floor":
         return "never: its bias is larger"
     if target.outcome == "undecided":
-        return "not known: its bias is about as large"
+        return "not known: what looks like bias may be noise"
     text = seconds(target.seconds.value) if target.seconds else ""
     if target.samples:
         text += f" with {target.samples} samples"

@@ -22,6 +22,7 @@ from mrbatch.report.sweep import (
     SweepTarget,
     SweepTruth,
 )
+from mrbatch.report.sweep_markdown import render_price_list
 from mrbatch.report.sweep_page import render_sweep_html, write_sweep_html
 from mrbatch.report.sweep_plots import cost_plot, parts_chart, ratio_scale
 from mrbatch.report.sweep_table import claims_on, headline, price_list, ranked, render_csv
@@ -148,6 +149,14 @@ def test_csv_holds_every_figure_and_no_formula():
     lines = render_csv(report(HOSTILE)).splitlines()
     assert len(lines) == 4 and lines[0].startswith("axis,value") and "psnr_frame" in lines[0]
     assert "'=1+1" in lines[2] and ",=1+1" not in lines[2]
+
+
+def test_markdown_holds_the_price_list():
+    text = render_price_list(report(HOSTILE))
+    assert (
+        "| value | time | error | claimed |" in text and "slower, more exact" in text and "not ranked" in text
+    )
+    assert "<img" not in text and "<script" not in text
 
 
 def test_json_round_trip():
