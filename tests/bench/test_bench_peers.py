@@ -18,7 +18,7 @@ from mrbatch.bench.peers.comparison import caught
 from mrbatch.bench.peers.export import export
 from mrbatch.bench.peers.mitsuba_difference import light_of_map, matt, rgb, sensor, texture
 from mrbatch.device.timing import TimingNode
-from mrbatch.errors import InputError
+from mrbatch.errors import InputError, MrbatchError
 from mrbatch.job import load_job
 
 
@@ -57,6 +57,12 @@ def test_a_catcher_pass_multiplies_the_photo_under_what_is_virtual():
     photo = np.full((1, 2, 3), 0.8, np.float32)
     found = caught(pixels, channels, photo, np.full(3, 2.0))
     np.testing.assert_allclose(found[0, :, 0], (0.4, 2 * 0.1 + 0.75 * 0.8), rtol=1e-6)
+
+
+def test_a_missing_pass_is_told():
+    channels = [f"Layer.Combined.{c}" for c in "RGBA"]
+    with pytest.raises(MrbatchError, match="no pass `Shadow Catcher`"):
+        caught(np.zeros((1, 1, 4), np.float32), channels, np.zeros((1, 1, 3), np.float32), np.ones(3))
 
 
 @pytest.mark.slow

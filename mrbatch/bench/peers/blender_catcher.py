@@ -134,6 +134,8 @@ def main() -> None:
     layer = scene.view_layers[0]
     layer.cycles.use_pass_shadow_catcher = True
     layer.update_render_passes()
+    if hasattr(scene.render.image_settings, "media_type"):  # from version 5 on it comes before the format
+        scene.render.image_settings.media_type = "MULTI_LAYER_IMAGE"
     scene.render.image_settings.file_format = "OPEN_EXR_MULTILAYER"
     scene.render.image_settings.color_depth = "32"
     for count, frame in enumerate(told["frames"]):

@@ -195,7 +195,11 @@ def caught(pixels: np.ndarray, channels: Sequence[str], photo: np.ndarray, gain:
     """The composite of Blender's passes: what is virtual over the photo times the catcher pass."""
 
     def layer(name: str, parts: str) -> np.ndarray:
-        places = [next(i for i, c in enumerate(channels) if c.endswith(f"{name}.{p}")) for p in parts]
+        places = [i for p in parts for i, c in enumerate(channels) if c.endswith(f"{name}.{p}")]
+        if len(places) != len(parts):
+            raise MrbatchError(
+                f"Blender wrote no pass `{name}`: its version is another than the script is for"
+            )
         return pixels[..., places]
 
     combined, catcher = layer("Combined", "RGBA"), layer("Shadow Catcher", "RGB")
