@@ -12,11 +12,20 @@ import click
 
 from mrbatch.batch.prepare import Prepared, prepare
 from mrbatch.bench.bounces import bounces as compare_bounces
+from mrbatch.bench.flicker import KINDS
+from mrbatch.bench.flicker import flicker as compare_flicker
 from mrbatch.bench.peers.comparison import compare as compare_with_peer
 from mrbatch.bench.ray_share import ray_share
 from mrbatch.bench.samplers import samplers as compare_samplers
 from mrbatch.bench.strategies import strategies as compare_strategies
-from mrbatch.bench.tables import draw_bounces, draw_peers, draw_samplers, draw_strategies, write_json
+from mrbatch.bench.tables import (
+    draw_bounces,
+    draw_flicker,
+    draw_peers,
+    draw_samplers,
+    draw_strategies,
+    write_json,
+)
 from mrbatch.bench.thread_scaling import thread_scaling
 from mrbatch.bench.time_to_error import time_to_error
 from mrbatch.bench.variants import Variants
@@ -190,6 +199,37 @@ def strategies(**options: Any) -> None:
 def samplers(**options: Any) -> None:
     """Ways to draw directions from the map, and sequences of random numbers: error at equal samples."""
     _compare(compare_samplers, draw_samplers, **options)
+
+
+@main.command()
+@click.option("--pictures", default=16, show_default=True, type=click.IntRange(2), help="Of the frame.")
+@click.option(
+    "--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="A filter; default: all, and none."
+)
+@click.option("--threads", default=1, show_default=True, type=click.IntRange(1))
+@click.option("--frame", type=int, help="Default: the job's first.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="As in `mrbatch render`.")
+@click.argument("job", type=click.Path(path_type=Path))
+def flicker(
+    job: Path,
+    settings: tuple[str, ...],
+    frame: int | None,
+    pictures: int,
+    kinds: tuple[str, ...],
+    threads: int,
+) -> None:
+    """How much a still film flickers, in code values as shown, with each filter."""
+    try:
+        found = compare_flicker(
+            Variants(job, settings, frame=frame),
+            pictures=pictures,
+            kinds=kinds or KINDS,
+            threads=threads,
+            said=_told,
+        )
+    except (MrbatchError, ValueError) as error:
+        raise click.ClickException(str(error)) from error
+    draw_flicker(found)
 
 
 @main.command()

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mrbatch.bench.bounces import OURS, Bounces
+from mrbatch.bench.flicker import BLUR, FlickerComparison
 from mrbatch.bench.peers.comparison import PeerComparison
 from mrbatch.bench.samplers import Samplers
 from mrbatch.bench.strategies import Strategies
@@ -75,6 +76,32 @@ def draw_samplers(found: Samplers) -> None:
     ]
     heads = ("of", "sampler", "seconds", "over the first", "RMSE", "on real", "on virtual", "time x error^2")
     _draw(heads, rows, f"{found.method}; {_setting(found)}")
+
+
+def draw_flicker(found: FlickerComparison) -> None:
+    """Prints how much still pictures vary, in 8-bit code values."""
+    rows = [
+        (
+            row.kind,
+            part,
+            count(value.pixels),
+            f"{value.fine:.2f}",
+            f"{value.coarse:.2f}",
+            f"{100 * value.above:.1f} %",
+            f"{value.rare:.1f}",
+        )
+        for row in found.rows
+        for part, value in (("real", row.real), ("virtual", row.virtual), ("edges", row.edges))
+        if value.pixels
+    ]
+    heads = ("filter", "part", "pixels", "codes", "blurred", "above 1 code", "one in 1,000 above")
+    note = (
+        f"{found.method}; frame {found.frame}, {found.spp} samples a pixel, {found.pictures} pictures; "
+        f"standard deviation over time of luma in 8-bit codes, as it is and blurred by {BLUR:.0f} pixels"
+    )
+    if found.missing:
+        note += f"; not installed: {', '.join(found.missing)}"
+    _draw(heads, rows, note, breaks=len(rows) // max(len(found.rows), 1))
 
 
 def interval(value: Interval) -> str:
@@ -151,7 +178,7 @@ def _draw(heads: Sequence[str], rows: Sequence[Sequence[str]], note: str, *, bre
 
     table = Table(box=SIMPLE)
     for place, head in enumerate(heads):
-        words = place == 0 or head in ("method", "sampler")
+        words = place == 0 or head in ("method", "sampler", "part")
         table.add_column(head, justify="left" if words else "right", no_wrap=True)
     for place, row in enumerate(rows):
         table.add_row(*row, end_section=bool(breaks) and place % breaks == breaks - 1)

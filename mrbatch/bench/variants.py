@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mrbatch.batch.prepare import look_at, open_capture, prepare
+from mrbatch.batch.prepare import Prepared, look_at, open_capture, prepare
 from mrbatch.bench.subject import Subject
 from mrbatch.device.timing import TimingNode
 from mrbatch.job import load_job
@@ -64,10 +64,14 @@ class Variants:
         """Samples a pixel, both halves together."""
         return int(getattr(self.job.method, "spp", 2))
 
+    def prepared(self, *settings: str) -> Prepared:
+        """The job with these settings on top of its own, its plan made."""
+        job = load_job(self.path, [*self.settings, *settings], confine=self.confine)
+        return prepare(job, self._timing, opened=self._opened)
+
     def subject(self, *settings: str, threads: int = 1) -> Subject:
         """The frame with these settings on top of the job's."""
-        job = load_job(self.path, [*self.settings, *settings], confine=self.confine)
-        return Subject(prepare(job, self._timing, opened=self._opened), self.frame, threads=threads)
+        return Subject(self.prepared(*settings), self.frame, threads=threads)
 
 
 @dataclass(frozen=True)

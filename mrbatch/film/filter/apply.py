@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from mrbatch.film.accumulator import Developed
+from mrbatch.film.filter.residual import mean_kept
 from mrbatch.film.filter.settings import Filter
 from mrbatch.film.filter.signal import Signal, real_signal, virtual_signal
+from mrbatch.film.filter.specks import without_specks
 from mrbatch.film.guides import Guides
 
 Smooth = Callable[[Signal, tuple[np.ndarray, ...]], tuple[np.ndarray, ...]]
@@ -19,8 +21,26 @@ Smooth = Callable[[Signal, tuple[np.ndarray, ...]], tuple[np.ndarray, ...]]
 def smoother(settings: Filter, threads: int = 1) -> Smooth:
     """The kind's function: from a signal and parts of its value to what is to be added to each.
 
-    Raises ResourceError where what the kind needs is not installed.
+    Lone bright samples are taken out before (`specks.py`). Raises ResourceError where what the kind needs is
+    not installed.
     """
+    smooth = _kind(settings, threads)
+
+    def without_dots(signal: Signal, also: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        clean = without_specks(signal, threads)
+        if clean is None:
+            return smooth(signal, also)
+        taken = clean.value - signal.value
+        # A speck came with one of D's parts: the larger one.
+        parts = [np.where(np.abs(part) >= np.abs(signal.value - part), taken, 0.0) for part in also]
+        changes = smooth(clean, tuple(part + less for part, less in zip(also, parts)))
+        spread = (mean_kept(less, signal.weight, signal.group) for less in (taken, *parts))
+        return tuple(change + less for change, less in zip(changes, spread))
+
+    return without_dots
+
+
+def _kind(settings: Filter, threads: int) -> Smooth:
     if settings.kind == "bilateral":
         from mrbatch.film.filter.bilateral import bilateral
 

@@ -24,8 +24,9 @@ class Signal:
 
     `value` (h, w, 3) float64: P or D. `weight` (h, w, 3): reflectance times share of the pixel; value /
     weight is light. `halves`, `half_weights` (2, h, w, 3): the same of each half. `share` (h, w): of the
-    pixel that this side fills, 0..1. `group` (h, w) int32: pixels of one number above 0 may be averaged; -1
-    shows several objects; those of 0 are left as they are.
+    pixel that this side fills, 0..1. `scatter` (h, w, 3): variance of `value` by its samples' scatter, 0
+    where that is not known. `group` (h, w) int32: pixels of one number above 0 may be averaged; -1 shows
+    several objects; those of 0 are left as they are.
     """
 
     value: np.ndarray
@@ -33,6 +34,7 @@ class Signal:
     halves: np.ndarray
     half_weights: np.ndarray
     share: np.ndarray
+    scatter: np.ndarray
     group: np.ndarray
     guide: Guide
 
@@ -47,6 +49,8 @@ def virtual_signal(developed: Developed, guides: Guides) -> Signal:
         halves=developed.halves[..., P : P + 3],
         half_weights=developed.halves[..., A, None] * texture,
         share=developed.a,
+        # What is known is the composite's, in which texture and glints count as well.
+        scatter=np.zeros(developed.P.shape),
         group=_groups(developed.a > 0, guide),
         guide=guide,
     )
@@ -63,6 +67,7 @@ def real_signal(developed: Developed, guides: Guides) -> Signal:
         halves=developed.halves[..., D : D + 3],
         half_weights=(1 - developed.halves[..., A, None]) * guide.reflectance,
         share=visible,
+        scatter=np.where((developed.a == 0)[..., None], developed.variance, 0.0),
         group=_groups(changed & (visible > 0), guide),
         guide=guide,
     )
