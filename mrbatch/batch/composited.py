@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,39 +25,60 @@ def laid_over(sources: Mapping[str, Developed], matte: np.ndarray | None) -> Con
     return behind_matte(laid, matte)
 
 
-def half_composite(
-    half: int, background: np.ndarray, matte: np.ndarray | None, sources: Mapping[str, Developed]
-) -> np.ndarray:
-    """The composite (h, w, 3) of one half of the samples; `background` (h, w, 3)."""
+@dataclass(frozen=True)
+class Composited:
+    """The composite `picture` of all samples, and those of the two `halves` (h, w, 3); `changed` (h, w) bool:
+    where something virtual is in it."""
 
-    def part(developed: Developed) -> Developed:
-        mean = developed.halves[half]
-        return replace(
-            developed, P=mean[..., P : P + 3], a=mean[..., A], D=mean[..., D : D + 3], indirect=None
-        )
-
-    laid = laid_over({name: part(developed) for name, developed in sources.items()}, matte)
-    return composite(laid.P, laid.a, background, laid.D)
+    picture: np.ndarray
+    halves: tuple[np.ndarray, np.ndarray]
+    changed: np.ndarray
 
 
-def judged(background: np.ndarray, matte: np.ndarray | None, sources: Mapping[str, Developed]) -> Judged:
-    """What an error target looks at; the sources have their `scatter`."""
-    scatter = _scatter(sources["method"])
-    for name, other in sources.items():
-        if name != "method":
-            scatter = _scatter(other) + ((1 - other.halves[..., A, None]) ** 2) * scatter
-    if matte is not None:
-        scatter = scatter * ((1 - matte)[..., None] ** 2)
+def composited(
+    background: np.ndarray, matte: np.ndarray | None, sources: Mapping[str, Developed]
+) -> Composited:
+    """All sources over the photo `background` (h, w, 3)."""
+
+    def half(number: int) -> np.ndarray:
+        def part(developed: Developed) -> Developed:
+            mean = developed.halves[number]
+            return replace(
+                developed, P=mean[..., P : P + 3], a=mean[..., A], D=mean[..., D : D + 3], indirect=None
+            )
+
+        laid = laid_over({name: part(developed) for name, developed in sources.items()}, matte)
+        return composite(laid.P, laid.a, background, laid.D)
+
     laid = laid_over(sources, matte)
-    return Judged(
+    return Composited(
         composite(laid.P, laid.a, background, laid.D),
-        (half_composite(0, background, matte, sources), half_composite(1, background, matte, sources)),
-        background,
-        scatter,
+        (half(0), half(1)),
         (laid.a > 0) | np.any(laid.D != 0, axis=-1),
     )
 
 
-def _scatter(developed: Developed) -> np.ndarray:
-    assert developed.scatter is not None
-    return developed.scatter
+def variance_of(
+    sources: Mapping[str, Developed],
+    matte: np.ndarray | None,
+    of: Callable[[Developed], tuple[np.ndarray, np.ndarray]],
+) -> np.ndarray:
+    """Of what is composited, from each source's own: `of` gives a source's variance (..., h, w, 3) and
+    coverage (..., h, w)."""
+    variance, _ = of(sources["method"])
+    for name, other in sources.items():
+        if name != "method":
+            own, coverage = of(other)
+            variance = own + ((1 - coverage)[..., None] ** 2) * variance
+    return variance if matte is None else variance * ((1 - matte)[..., None] ** 2)
+
+
+def judged(background: np.ndarray, matte: np.ndarray | None, sources: Mapping[str, Developed]) -> Judged:
+    """What an error target looks at; the sources have their `scatter`."""
+
+    def scatter(developed: Developed) -> tuple[np.ndarray, np.ndarray]:
+        assert developed.scatter is not None
+        return developed.scatter, developed.halves[..., A]
+
+    made = composited(background, matte, sources)
+    return Judged(made.picture, made.halves, background, variance_of(sources, matte, scatter), made.changed)

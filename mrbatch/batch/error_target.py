@@ -68,7 +68,7 @@ class ErrorTarget:
 
     `judge` gives the view's `Judged` from its estimates by source. Of several views each has to be good
     enough; `referee` may end it before. `steps`: what was found on the way; `noise` by view: the last of it;
-    `outcome` is there when it asked for nothing more; `out_of_time`: it was the referee who ended it.
+    `outcome` is there when it asked for nothing more.
     """
 
     looks = True
@@ -89,7 +89,6 @@ class ErrorTarget:
         self.steps: list[Step] = []
         self.noise = {name: Noise(0.0, 0.0, 0.0, 0, 0) for name in windows}
         self.outcome: Outcome | None = None
-        self.out_of_time = False
         self._windows = windows
         self._judge = judge
         # A single sample has no scatter.
@@ -130,8 +129,7 @@ class ErrorTarget:
             self.outcome = "limit"
         spent, asked = (sum(int(c.sum()) for c in counts.values()) for counts in (done, more))
         if self.outcome is None and self._referee is not None:
-            self.out_of_time = self._referee.over(len(self.steps), spent, asked)
-            if self.out_of_time:
+            if self._referee.over(len(self.steps), spent, asked):
                 self.outcome = "limit"
         if self.outcome is not None:
             return {name: np.zeros_like(counts) for name, counts in more.items()}

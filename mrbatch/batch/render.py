@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mrbatch import __version__
-from mrbatch.batch.composited import half_composite, judged, laid_over
+from mrbatch.batch.composited import composited, judged, laid_over, variance_of
 from mrbatch.batch.error_target import ErrorTarget, Judged
 from mrbatch.batch.exposure import looks_at, pinholes
 from mrbatch.batch.framing import framed
@@ -22,7 +22,6 @@ from mrbatch.device.runner import Runner
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import InputError
 from mrbatch.film.accumulator import Developed
-from mrbatch.film.composite import composite
 from mrbatch.film.cryptomatte import name_id
 from mrbatch.film.exr import FrameImage, ViewImage, write_frame
 from mrbatch.film.filter.apply import filtered, smoother
@@ -343,34 +342,22 @@ class ShotRenderer:
         `smoothed`: what a filter made of the method's estimate. The noise is that of the samples, before it.
         """
         sources = rendered.estimates[view.name]
-        developed = sources["method"]
-        sampled = laid = laid_over(sources, matte)
-        if smoothed is not None:
-            laid = laid_over({**sources, "method": smoothed}, matte)
-        variance = developed.variance
-        samples = developed.samples
-        for name, other in sources.items():
-            if name != "method":
-                variance = other.variance + ((1 - other.a)[..., None] ** 2) * variance
-                samples = np.maximum(samples, other.samples)
-        if matte is not None:
-            variance = variance * ((1 - matte)[..., None] ** 2)
+        laid = laid_over(sources if smoothed is None else {**sources, "method": smoothed}, matte)
         estimates = {
             "P": laid.P,
             "a": laid.a,
             "D": laid.D,
             "B": given.background,
-            "variance": variance,
-            "samples": samples,
+            "variance": variance_of(sources, matte, lambda d: (d.variance, d.a)),
+            "samples": np.maximum.reduce([developed.samples for developed in sources.values()]),
         }
         if laid.D_indirect is not None:
             estimates["D_indirect"] = laid.D_indirect
         data = first_hit_estimates(view, self.outputs, rendered.buffers, self._ids)
         estimates.update(data if matte is None else data_behind_matte(data, matte))
-        picture = composite(sampled.P, sampled.a, given.background, sampled.D)
-        changed = (sampled.a > 0) | np.any(sampled.D != 0, axis=-1)
-        a, b = (half_composite(half, given.background, matte, sources) for half in (0, 1))
-        return estimates, relative_square(picture, noise_between(a, b), changed), changed
+        made = composited(given.background, matte, sources)
+        noise = relative_square(made.picture, noise_between(*made.halves), made.changed)
+        return estimates, noise, made.changed
 
     def _cryptomatte_attributes(self) -> dict[str, str]:
         from mrbatch.film import cryptomatte

@@ -152,11 +152,9 @@ def _pictures(
     """Luma (h, w) in code values, composite (h, w, 3) and coverage (h, w) of each."""
     prepared = variants.prepared(f"output.filter.kind={kind}", "output.filter.radius=null")
     found = []
-    for number in range(pictures):
-        # One plan for all, as in one shot.
-        seed = (variants.job.seed + number) % (1 << 32)
-        with Subject(prepared, variants.frame, threads=threads, seed=seed) as subject:
-            run = subject.run()
-        codes = preview_codes(run.composite, prepared.facts.transfer)
-        found.append((codes @ LUMA, run.composite, run.coverage))
+    with Subject(prepared, variants.frame, threads=threads) as subject:
+        for number in range(pictures):
+            run = subject.run((variants.job.seed + number) % (1 << 32))
+            codes = preview_codes(run.composite, prepared.facts.transfer)
+            found.append((codes @ LUMA, run.composite, run.coverage))
     return found

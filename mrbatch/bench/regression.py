@@ -22,6 +22,7 @@ from mrbatch.batch.render import ShotRenderer
 from mrbatch.batch.shot import content_hash
 from mrbatch.bench.baseline import Baseline, FrameBaseline, baseline_path, load_baseline
 from mrbatch.bench.regression_gates import FALSE_ALARM, judge
+from mrbatch.bench.variants import solved
 from mrbatch.device.timing import TimingNode
 from mrbatch.errors import EXIT_GATE, JobError, Place, worst_exit_code
 from mrbatch.job import load_job, select_frames
@@ -82,12 +83,13 @@ def check_jobs(
             )
         made = _measured(path, stored, update, settings, seed, size, threads, told)
         name = made.baseline.job
-        found: list[Gate] = _finite(made)
+        found = _finite(made)
+        finite = all(gate.passed for gate in found)
         if stored is not None and stored.key == made.baseline.key and stored.scale == made.baseline.scale:
             found += judge(stored, made.baseline)
         elif stored is not None:
             notes.append(Note(level="info", text=f"{name}: the job itself has changed"))
-        if update and all(gate.passed for gate in _finite(made)):
+        if update and finite:
             for gate in found:
                 if not gate.passed:
                     figures = f": {numbers.quantity(gate.measured)}" if gate.measured else ""
@@ -151,47 +153,40 @@ def _measured(
             hint="look at what changed, then `--update`",
         )
     whole = prepare(job, timing, opened=opened)
+    opened = solved(opened, whole)
+    # A baseline that is made anew owes the old one nothing.
+    kept = None if update else stored
     longest = max(max(pixels) for pixels in whole.display.values())
-    scale = min(job.output.scale, job.output.scale * size / longest)
-    if stored is not None and not update:
-        scale = stored.scale
+    scale = min(job.output.scale, job.output.scale * size / longest) if kept is None else kept.scale
     layers = [layer for layer in LAYERS if layer in job.method_object.layers]
-    tiny = load_job(
-        path,
-        [*settings, *plain, f"output.scale={scale!r}", f"output.layers=[{','.join(layers) or 'composite'}]"],
-    )
-    prepared = prepare(tiny, timing)
-    chosen = select_frames(job.frames, prepared.shot.frames)
-    numbers_ = sorted({chosen[0], chosen[len(chosen) // 2], chosen[-1]})
-    first = job.seed if seed is None else seed
-    if stored is not None and seed is None and not update:
-        first = stored.seeds[0]
+    tiny = [f"output.scale={scale!r}", f"output.layers=[{','.join(layers) or 'composite'}]"]
+    frames = select_frames(job.frames, whole.shot.frames)
+    chosen = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
+    first = seed if seed is not None else job.seed if kept is None else kept.seeds[0]
     seeds = tuple((first + n) % (1 << 32) for n in range(SEEDS))
 
-    def render(spp: int) -> tuple[dict[int, FrameBaseline], dict[int, str], dict[str, np.ndarray]]:
-        told(f"{job.name}: {len(numbers_)} frames, {len(seeds)} seeds, {spp} samples a pixel")
-        with_spp = load_job(
-            path, [*settings, *plain, f"output.scale={scale!r}", *_layers(layers), f"method.spp={spp}"]
+    def measured(spp: int) -> Measured:
+        told(f"{job.name}: {len(chosen)} frames, {len(seeds)} seeds, {spp} samples a pixel")
+        asked = load_job(path, [*settings, *plain, *tiny, f"method.spp={spp}"])
+        prepared = prepare(asked, timing, opened=opened)
+        found, gaps, pictures = _frames(prepared, chosen, seeds, threads)
+        effects = {name: verdict.state for name, verdict in prepared.shot.plan.effects.items()}
+        made = Baseline(
+            job=job.name, key=key, scale=scale, spp=spp, seeds=seeds, effects=effects, frames=found
         )
-        return _frames(prepare(with_spp, timing), numbers_, seeds, threads)
+        return Measured(made, gaps, pictures)
 
-    spp = stored.spp if stored is not None and not update else FIRST_SPP
-    frames, gaps, pictures = render(spp)
-    if update and not gaps:
-        short = max(
-            (shortfall(frame.means, layer) for frame in frames.values() for layer in layers), default=0.0
-        )
-        wanted = 2 ** math.ceil(math.log2(max(1.0, short) ** 2 * FIRST_SPP))
-        if wanted > spp:
-            spp = min(wanted, MOST_SPP)
-            frames, gaps, pictures = render(spp)
-    effects = {name: verdict.state for name, verdict in prepared.shot.plan.effects.items()}
-    made = Baseline(job=job.name, key=key, scale=scale, spp=spp, seeds=seeds, effects=effects, frames=frames)
-    return Measured(made, gaps, pictures)
-
-
-def _layers(layers: Sequence[str]) -> list[str]:
-    return [f"output.layers=[{','.join(layers) or 'composite'}]"]
+    if kept is not None:
+        return measured(kept.spp)
+    made = measured(FIRST_SPP)
+    if made.gaps:
+        return made
+    short = max(
+        (shortfall(frame.means, layer) for frame in made.baseline.frames.values() for layer in layers),
+        default=0.0,
+    )
+    wanted = 2 ** math.ceil(math.log2(max(1.0, short) ** 2 * FIRST_SPP))
+    return measured(min(wanted, MOST_SPP)) if wanted > FIRST_SPP else made
 
 
 def _frames(

@@ -122,16 +122,16 @@ def welch(was: np.ndarray, now: np.ndarray) -> tuple[Any, Any, Any]:
 
     Welch's t-test. Where neither scatters, p is 1 for equal means and 0 for others.
     """
-    from scipy.stats import t
+    from scipy.stats import ttest_ind_from_stats
 
-    n, m = len(was), len(now)
-    a, b = was.var(axis=0, ddof=1) / n, now.var(axis=0, ddof=1) / m
-    difference = now.mean(axis=0) - was.mean(axis=0)
+    means, spreads = [x.mean(axis=0) for x in (now, was)], [x.std(axis=0, ddof=1) for x in (now, was)]
+    difference = means[0] - means[1]
+    error = np.sqrt(spreads[0] ** 2 / len(now) + spreads[1] ** 2 / len(was))
     # Below this, sums in another order make the difference.
     rounding = 1e-9 * (np.abs(was).mean(axis=0) + np.abs(now).mean(axis=0))
-    variance = a + b
     with np.errstate(divide="ignore", invalid="ignore"):
-        degrees = variance**2 / (a**2 / (n - 1) + b**2 / (m - 1))
-        p = 2 * t.sf(np.abs(difference) / np.sqrt(variance), degrees)
-    p = np.where(variance > 0.0, p, 0.0)
-    return difference, np.where(np.abs(difference) <= rounding, 1.0, p), np.sqrt(variance)
+        p = ttest_ind_from_stats(
+            means[0], spreads[0], len(now), means[1], spreads[1], len(was), equal_var=False
+        ).pvalue
+    p = np.where(error > 0.0, p, 0.0)
+    return difference, np.where(np.abs(difference) <= rounding, 1.0, p), error

@@ -30,22 +30,12 @@ class Run:
 class Subject:
     """Frame `frame` of a prepared job, compiled and warm, on its own renderer.
 
-    `engine` replaces the shot's, `seed` the job's (the plan stays). Use as a context manager.
+    `engine` replaces the shot's. Use as a context manager.
     """
 
-    def __init__(
-        self,
-        prepared: Prepared,
-        frame: int,
-        *,
-        threads: int,
-        engine: str | None = None,
-        seed: int | None = None,
-    ) -> None:
+    def __init__(self, prepared: Prepared, frame: int, *, threads: int, engine: str | None = None) -> None:
         if engine is not None:
             prepared = replace(prepared, shot=replace(prepared.shot, engine=engine))
-        if seed is not None:
-            prepared = replace(prepared, job=prepared.job.model_copy(update={"seed": seed}))
         self.frame = frame
         self.renderer = ShotRenderer(prepared, TimingNode("bench"), threads=threads)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mrbatch.batch.prepare import Prepared, look_at, open_capture, prepare
+from mrbatch.batch.prepare import Opened, Prepared, look_at, open_capture, prepare
 from mrbatch.bench.subject import Subject
 from mrbatch.device.timing import TimingNode
 from mrbatch.job import load_job
@@ -32,6 +32,11 @@ class _Solved:
 
     def prepare(self, progress: Any) -> Mapping[str, Any]:
         return self._table
+
+
+def solved(opened: Opened, prepared: Prepared) -> Opened:
+    """An opened job whose capture needs not be solved again: as `prepared` from it holds it."""
+    return replace(opened, capture=_Solved(opened.capture, prepared.shot.table))
 
 
 class Variants:
@@ -57,7 +62,7 @@ class Variants:
         first = prepare(job, self._timing, opened=opened)
         self.job = job
         self.frame = first.shot.frames[0] if frame is None else frame
-        self._opened = replace(opened, capture=_Solved(opened.capture, first.shot.table))
+        self._opened = solved(opened, first)
 
     @property
     def spp(self) -> int:
@@ -102,13 +107,9 @@ def converged(variants: Variants, spp: int, *settings: str, threads: int = 1) ->
     """The reference: two pictures of `spp` / 2 samples each, rounded to even numbers."""
     half = max(2, spp // 4 * 2)
     first_seed = variants.job.seed + SEED_OF_REFERENCE
-    runs = []
-    for seed in (first_seed, first_seed + 1):
-        with variants.subject(
-            *settings, f"method.spp={half}", f"seed={seed % (1 << 32)}", threads=threads
-        ) as s:
-            runs.append(s.run())
-            photo = s.photo()
+    with variants.subject(*settings, f"method.spp={half}", threads=threads) as subject:
+        runs = [subject.run(seed % (1 << 32)) for seed in (first_seed, first_seed + 1)]
+        photo = subject.photo()
     one, two = (run.composite.astype(np.float64) for run in runs)
     picture = (one + two) / 2
     changed = region_of_interest(picture, photo.astype(np.float64), deviation=np.abs(one - two) / 2)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from mrbatch.cli.report_files import report_options, write_reports
+
 _FILE = click.Path(path_type=Path)
 
 
@@ -21,12 +23,9 @@ _FILE = click.Path(path_type=Path)
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a value of all jobs.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), help="First seed, in place of the baseline's.")
 @click.option("--threads", metavar="N", type=click.IntRange(1), help="Threads; default: all cores.")
-@click.option("--json", "json_file", type=_FILE, help="Write all figures as a report.json.")
-@click.option("--junit", type=_FILE, help="Write JUnit XML, a test case a gate.")
-@click.option("--html", type=_FILE, help="Write one page.")
-@click.option("--markdown", type=_FILE, help="Write Markdown.")
+@report_options("gate")
 @click.pass_context
-def command(ctx, jobs, update, store, settings, seed, threads, json_file, junit, html, markdown):
+def command(ctx, jobs, update, store, settings, seed, threads, **files):
     """Render each JOB's first, middle and last frame, tiny, under 16 seeds, and judge by its baseline.
 
     Exact: all numbers are finite, the plan calls for the same effects, the work is the same. By statistics:
@@ -34,10 +33,6 @@ def command(ctx, jobs, update, store, settings, seed, threads, json_file, junit,
     makes it, or makes it anew where a change was meant. Exit code 1 where something changed.
     """
     from mrbatch.bench.regression import check_jobs, failures
-    from mrbatch.report.html import write_html
-    from mrbatch.report.junit import write_junit
-    from mrbatch.report.markdown import write_markdown
-    from mrbatch.report.model import save_report
 
     report, pictures = check_jobs(
         jobs,
@@ -48,11 +43,7 @@ def command(ctx, jobs, update, store, settings, seed, threads, json_file, junit,
         threads=threads,
         told=lambda text: click.echo(text, err=True),
     )
-    for path, write in ((json_file, save_report), (junit, write_junit), (markdown, write_markdown)):
-        if path:
-            write(report, path)
-    if html:
-        write_html(report, html, images=pictures)
+    write_reports(report, images=pictures, **files)
     for note in report.notes:
         click.echo(note.text if note.frame is None else f"{note.text} (frame {note.frame})")
     for text in failures(report):

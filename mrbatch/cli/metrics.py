@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from mrbatch.cli.report_files import report_options, write_reports
+
 _FILE = click.Path(path_type=Path)
 _GATES = {
     "max_relmse": "relmse",
@@ -70,10 +72,7 @@ class Floats(click.ParamType):
 )
 @click.option("--flip/--no-flip", default=True, help="Compute FLIP (slower than all others together).")
 @click.option("--all", "every", is_flag=True, help="Folders: an error where one lacks a picture of another.")
-@click.option("--json", "json_file", type=_FILE, help="Write all figures as a report.json.")
-@click.option("--junit", type=_FILE, help="Write JUnit XML, a test case a gate.")
-@click.option("--html", type=_FILE, help="Write one page with pictures and error maps.")
-@click.option("--markdown", type=_FILE, help="Write Markdown.")
+@report_options("gate", page="Write one page with pictures and error maps.")
 @click.option("--max-relmse", type=float, help="Gate: exit code 1 where relMSE is larger.")
 @click.option("--max-rmse", type=float, help="Gate on RMSE, linear.")
 @click.option("--min-psnr", type=float, help="Gate on PSNR, dB.")
@@ -89,7 +88,23 @@ class Floats(click.ParamType):
 )
 @click.pass_context
 def command(
-    ctx, test, reference, without, roi, gain, projection, layer, exposures, flip, every, gate_scope, **options
+    ctx,
+    test,
+    reference,
+    without,
+    roi,
+    gain,
+    projection,
+    layer,
+    exposures,
+    flip,
+    every,
+    gate_scope,
+    json_file,
+    junit,
+    html,
+    markdown,
+    **gates,
 ):
     """Compare TEST with REFERENCE: two pictures (EXR, PNG, ...), or the pictures of two folders that
     have the same names (EXR files where both hold some; previews never).
@@ -99,10 +114,6 @@ def command(
     """
     from mrbatch.metrics.errors import Exposures
     from mrbatch.report.comparison import CompareSettings, compare
-    from mrbatch.report.html import write_html
-    from mrbatch.report.junit import write_junit
-    from mrbatch.report.markdown import write_markdown
-    from mrbatch.report.model import save_report
     from mrbatch.report.pairs import find_pairs
 
     if roi is None and without is not None:
@@ -114,20 +125,13 @@ def command(
         region=roi if roi in ("auto", "noisy", None) else Path(roi),
         flip=flip,
         exposures=Exposures(exposures[0], exposures[1], int(exposures[2])) if exposures else None,
-        gates={metric: options[key] for key, metric in _GATES.items() if options[key] is not None},
+        gates={metric: gates[key] for key, metric in _GATES.items() if gates[key] is not None},
         gate_scope=gate_scope,
-        pictures=options["html"] is not None,
+        pictures=html is not None,
     )
     report, images = compare(find_pairs(test, reference, without, every=every), settings)
     print_scores(report)
-    if options["json_file"]:
-        save_report(report, options["json_file"])
-    if options["junit"]:
-        write_junit(report, options["junit"])
-    if options["markdown"]:
-        write_markdown(report, options["markdown"])
-    if options["html"]:
-        write_html(report, options["html"], images=images)
+    write_reports(report, json_file=json_file, junit=junit, html=html, markdown=markdown, images=images)
     ctx.exit(report.exit)
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from mrbatch.cli.report_files import report_options, write_reports
+
 _FILE = click.Path(path_type=Path)
 
 
@@ -39,21 +41,14 @@ _FILE = click.Path(path_type=Path)
     metavar="N",
     help="In place of the cases: N small random jobs, those of the seeds from --seed on.",
 )
-@click.option("--json", "json_file", type=_FILE, help="Write all that was measured as a report.json.")
-@click.option("--junit", type=_FILE, help="Write JUnit XML, a test case a hard case.")
-@click.option("--html", type=_FILE, help="Write one page.")
-@click.option("--markdown", type=_FILE, help="Write Markdown.")
+@report_options("hard case")
 @click.pass_context
-def command(ctx, patterns, cases, seed, jobs, json_file, junit, html, markdown):
+def command(ctx, patterns, cases, seed, jobs, **files):
     """Run small set-ups whose answer is known, and say for each whether it came out.
 
     Exit code 1 where one failed, or could not tell. A random job fails where it crashes, hangs, or gives a
     pixel that is no number; the seed that is told repeats it.
     """
-    from mrbatch.report.html import write_html
-    from mrbatch.report.junit import write_junit
-    from mrbatch.report.markdown import write_markdown
-    from mrbatch.report.model import save_report
     from mrbatch.stability.fuzz import fuzz
     from mrbatch.stability.run import check_stability
 
@@ -64,11 +59,7 @@ def command(ctx, patterns, cases, seed, jobs, json_file, junit, html, markdown):
     else:
         report = check_stability(patterns, cases=cases, seed=seed, told=_told)
     print_cases(report)
-    for path, write in ((json_file, save_report), (junit, write_junit), (markdown, write_markdown)):
-        if path:
-            write(report, path)
-    if html:
-        write_html(report, html)
+    write_reports(report, **files)
     ctx.exit(report.exit)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -160,7 +161,7 @@ class FrameRenderer:
                 if looks:
                     run("finish", each_moment=True)
         else:
-            self._steer(steering, number, views, tiles, len(moments), look_at, lambda: bound, progress)
+            self._steer(steering, views, tiles, len(moments), look_at, lambda: bound, progress)
             for at in range(len(looks)):
                 look_at(at)
                 run("finish", each_moment=True)
@@ -177,7 +178,6 @@ class FrameRenderer:
     def _steer(
         self,
         steering: Steering,
-        number: int,
         views: Mapping[str, ViewInput],
         tiles: Mapping[str, np.ndarray] | None,
         moments: int,
@@ -193,40 +193,34 @@ class FrameRenderer:
             for view in self.outputs.views
         }
         done = {name: np.zeros((2, len(units)), dtype=np.int64) for name, units in ids.items()}
-        elsewhere = [0, 0]
+        # Passes that run over no tiles get as many samples as the busiest tile.
+        elsewhere = np.zeros((2, 1), dtype=np.int64)
         estimates = None
         while True:
             more = steering.more(estimates, ids, done)
-            if not any(counts.any() for counts in more.values()):
+            most = np.max([counts.max(axis=1, initial=0) for counts in more.values()], axis=0)[:, None]
+            if not most.any():
                 return
+            before, added = {**done, None: elsewhere}, {**more, None: most}
             for at in range(moments):
                 look_at(at)
-                for half in (0, 1):
-                    most = max(int(counts[half].max(initial=0)) for counts in more.values()) // moments
-                    for source in self.sources:
-                        for step in source.pipeline.refine:
-                            view = step.domain.view
-                            if step.domain.kind != "pixels" or step.everywhere:
-                                runs = [(elsewhere[half], most * moments, None)] if most else []
-                            else:
-                                runs = [
-                                    (first, count, ids[view][chosen])
-                                    for first, count, chosen in groups(done[view][half], more[view][half])
-                                ]
-                            for first, count, units in runs:
-                                share = count // moments
-                                self.runner.run(
-                                    step,
-                                    bound()[source.name],
-                                    self.buffers,
-                                    self.timing,
-                                    units=units,
-                                    half=half,
-                                    first_sample=first + share * at,
-                                    samples=share,
-                                )
-                    if at == moments - 1:
-                        elsewhere[half] += most * moments
+                for half, source in itertools.product((0, 1), self.sources):
+                    for step in source.pipeline.refine:
+                        by_tile = step.domain.kind == "pixels" and not step.everywhere
+                        view = step.domain.view if by_tile else None
+                        for first, count, chosen in groups(before[view][half], added[view][half]):
+                            share = count // moments
+                            self.runner.run(
+                                step,
+                                bound()[source.name],
+                                self.buffers,
+                                self.timing,
+                                units=None if view is None else ids[view][chosen],
+                                half=half,
+                                first_sample=first + share * at,
+                                samples=share,
+                            )
+            elsewhere = elsewhere + most
             done = {name: done[name] + more[name] for name in done}
             if steering.looks:
                 estimates = self._developed(views, scatter=True)

@@ -20,6 +20,7 @@ from mrbatch.report.model import Report, TimingNode, Value, write_text
 from mrbatch.report.plots import bar_chart, noise_plot
 from mrbatch.report.quality import amplitude, quality_of
 from mrbatch.report.scores import score_table
+from mrbatch.report.template import template
 
 STATE_MEANING = {
     "needed": "the scene calls for it: simulated",
@@ -69,16 +70,8 @@ def render_html(
     A picture that cannot be read costs its place on the page, never the page. `linked`: the page lies in the
     report's folder, so that files are linked to by their names.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(
-        loader=PackageLoader("mrbatch.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
+    filters = {
         "number": numbers.number,
         "count": numbers.count,
         "roughly": numbers.roughly,
@@ -89,7 +82,7 @@ def render_html(
         "short": numbers.short_hash,
     }
     effects = sorted(report.plan.effects, key=lambda e: (e.state not in SIMULATED, e.name))
-    return environment.get_template("report.html.j2").render(
+    return template("report.html.j2", filters).render(
         report=report,
         linked=linked,
         frame_files=[file.path for f in report.frames for file in f.files],

@@ -4,27 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from mrbatch.report import numbers
 from mrbatch.report.html import SIMULATED, timing_rows
 from mrbatch.report.model import Report, write_text
 from mrbatch.report.quality import amplitude, quality_of
 from mrbatch.report.scores import score_table
+from mrbatch.report.template import template
 
 MAX_FRAMES = 200
 
 
 def render_markdown(report: Report) -> str:
     """The text. Whatever came from outside is escaped: it can neither add markup nor break a table."""
-    environment = Environment(
-        loader=PackageLoader("mrbatch.report"),
-        autoescape=False,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
+    filters = {
         "md": escape,
         "number": numbers.number,
         "count": numbers.count,
@@ -33,7 +25,7 @@ def render_markdown(report: Report) -> str:
         "noise": lambda error: escape(numbers.quantity(amplitude(error) or error)),
         "short": numbers.short_hash,
     }
-    text = environment.get_template("report.md.j2").render(
+    text = template("report.md.j2", filters, autoescape=False).render(
         report=report,
         effects=sorted(report.plan.effects, key=lambda e: (e.state not in SIMULATED, e.name)),
         timing=timing_rows(report.timing),

@@ -73,12 +73,8 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class NoisePlot:
-    """Noise against seconds a frame, both logarithmic, in the units of the drawing (y down).
-
-    `frames`: what was measured. `line` and `steps`: what other sample counts would give, for the middle
-    frame. `goal`: height of the line of a final picture.
-    """
+class LogPlot:
+    """The frame of a plot whose axes are both logarithmic, in the units of the drawing (y down)."""
 
     width: int
     height: int
@@ -88,6 +84,16 @@ class NoisePlot:
     bottom: float
     xs: tuple[Tick, ...]
     ys: tuple[Tick, ...]
+
+
+@dataclass(frozen=True)
+class NoisePlot(LogPlot):
+    """Noise against seconds a frame.
+
+    `frames`: what was measured. `line` and `steps`: what other sample counts would give, for the middle
+    frame. `goal`: height of the line of a final picture.
+    """
+
     frames: tuple[Mark, ...]
     line: tuple[tuple[float, float], ...]
     steps: tuple[Mark, ...]

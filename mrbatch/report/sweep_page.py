@@ -21,6 +21,7 @@ from mrbatch.report.scores import SCOPES
 from mrbatch.report.sweep import Sweep
 from mrbatch.report.sweep_plots import cost_plot, parts_chart, ratio, ratio_scale, target_bars
 from mrbatch.report.sweep_table import headline, price_list, ranked, times
+from mrbatch.report.template import template
 
 MOST_BYTES = 6_000_000
 """Pictures that would take more become JPEG."""
@@ -33,20 +34,12 @@ def render_sweep_html(report: Report, images: Mapping[str, np.ndarray] | None = 
 
     Raises ValueError for a report without a sweep.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
     told = report.sweep
     if told is None:
         raise ValueError("the report holds no sweep")
-    environment = Environment(
-        loader=PackageLoader("mrbatch.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
+    filters = {
         "number": numbers.number,
         "quantity": numbers.quantity,
         "seconds": numbers.seconds,
@@ -56,7 +49,7 @@ def render_sweep_html(report: Report, images: Mapping[str, np.ndarray] | None = 
     script = (files("mrbatch.report") / "templates" / "sweep.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     scales = {kind: ratio_scale(told, kind) for kind in ("time", "error")}
-    return environment.get_template("sweep.html.j2").render(
+    return template("sweep.html.j2", filters).render(
         report=report,
         told=told,
         script=Markup(script),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mrbatch.report import numbers
-from mrbatch.report.plots import LogAxis, Tick, decimals, round_times, time_text
+from mrbatch.report.plots import LogAxis, LogPlot, decimals, round_times, time_text
 from mrbatch.report.sweep import Sweep, SweepPoint, SweepTarget
 from mrbatch.report.sweep_table import target_words, times
 from mrbatch.report.values import Value
@@ -33,17 +33,9 @@ class Dot:
 
 
 @dataclass(frozen=True)
-class CostPlot:
-    """Error against seconds, both logarithmic; `line`: the front; `floor`: height of what the truth tells."""
+class CostPlot(LogPlot):
+    """Error against seconds; `line`: the front; `floor`: height of what the truth tells."""
 
-    width: int
-    height: int
-    left: float
-    right: float
-    top: float
-    bottom: float
-    xs: tuple[Tick, ...]
-    ys: tuple[Tick, ...]
     dots: tuple[Dot, ...]
     line: tuple[tuple[float, float], ...]
     floor: float | None

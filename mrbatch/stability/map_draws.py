@@ -45,16 +45,20 @@ def _kernels(interpolation: str, sampler: LightSampler) -> tuple[Any, Any]:
     return look, draw
 
 
-def look(environment: Environment, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def look(
+    environment: Environment, directions: np.ndarray, sampler: LightSampler = "cdf"
+) -> tuple[np.ndarray, np.ndarray]:
     """Radiance (n, 3) and density (n,) in world directions (n, 3)."""
     d = wp.array(np.ascontiguousarray(directions, dtype=np.float32), dtype=wp.vec3, device="cpu")
     light, density = wp.zeros_like(d), wp.zeros(len(d), dtype=float, device="cpu")
-    kernel = _kernels(environment.interpolation, "cdf")[0]
+    kernel = _kernels(environment.interpolation, sampler)[0]
     wp.launch(kernel, len(d), inputs=[environment.upload(), d], outputs=[light, density], device="cpu")
     return light.numpy(), density.numpy()
 
 
-def draw(environment: Environment, u: np.ndarray | int, seed: int = 99) -> tuple[np.ndarray, ...]:
+def draw(
+    environment: Environment, u: np.ndarray | int, seed: int = 99, sampler: LightSampler = "cdf"
+) -> tuple[np.ndarray, ...]:
     """Directions (n, 3), radiance (n, 3), density (n,) for u (n, 2) float64; so many numbers of 32 bits where
     `u` is a count."""
     if isinstance(u, int):
@@ -64,7 +68,7 @@ def draw(environment: Environment, u: np.ndarray | int, seed: int = 99) -> tuple
     numbers = wp.array(bits, dtype=wp.vec2ui, device="cpu")
     d = wp.zeros(len(bits), dtype=wp.vec3, device="cpu")
     light, density = wp.zeros_like(d), wp.zeros(len(bits), dtype=float, device="cpu")
-    kernel = _kernels(environment.interpolation, "cdf")[1]
+    kernel = _kernels(environment.interpolation, sampler)[1]
     given = [environment.upload(), numbers]
     wp.launch(kernel, len(bits), inputs=given, outputs=[d, light, density], device="cpu")
     return d.numpy(), light.numpy(), density.numpy()

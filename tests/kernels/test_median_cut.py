@@ -4,42 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import warp as wp
 from scipy import stats
 
-from mrbatch.kernels.environment import EnvironmentData, make_environment
 from mrbatch.scene.environment import Environment, load_environment, rotation_from_yaw
 from mrbatch.scene.environment_median_cut import median_cut
-
-FUNCTIONS = make_environment("bilinear", "median-cut")
-env_radiance, env_pdf, env_sample = FUNCTIONS.radiance, FUNCTIONS.pdf, FUNCTIONS.sample
-
-
-@wp.kernel(enable_backward=False, module="unique")
-def draw_kernel(
-    env: EnvironmentData,
-    bits: wp.array(dtype=wp.vec2ui),
-    d: wp.array(dtype=wp.vec3),
-    light: wp.array(dtype=wp.vec3),
-    density: wp.array(dtype=float),
-    again: wp.array(dtype=float),
-):
-    i = wp.tid()
-    s = env_sample(env, bits[i])
-    d[i] = s.direction
-    light[i] = env_radiance(env, s.direction)
-    density[i] = s.pdf
-    again[i] = env_pdf(env, s.direction)
+from mrbatch.stability import map_draws
 
 
 def draw(environment, count, seed=99):
-    bits = np.random.default_rng(seed).integers(0, 2**32, size=(count, 2))
-    bits = wp.array(bits.astype(np.uint32), dtype=wp.vec2ui, device="cpu")
-    d, light = (wp.zeros(count, dtype=wp.vec3, device="cpu") for _ in range(2))
-    density, again = (wp.zeros(count, dtype=float, device="cpu") for _ in range(2))
-    inputs = [environment.upload(), bits, d, light, density, again]
-    wp.launch(draw_kernel, count, inputs, device="cpu")
-    return d.numpy().astype(np.float64), light.numpy(), density.numpy(), again.numpy()
+    """Directions, light and density of samples, and the density that their directions have."""
+    d, light, density = map_draws.draw(environment, count, seed, "median-cut")
+    _, again = map_draws.look(environment, d, "median-cut")
+    return d.astype(np.float64), light, density, again
 
 
 def random_map(height, width, seed=0):
